@@ -62,6 +62,9 @@ class Plan:
     """Between runs, where the cause lies in the panel."""
     scale: float = 1.0
     """Size of drawn effects: 0.5 halves them."""
+    eased: tuple[float, float] | None = None
+    """From where to where the share of pressure is drawn that is left from the middle of a pressing on, as presses
+    ease off before they open; the column ``load`` tells. None: the pressure stays, and no column tells it."""
     rim_contrast: float = 0.0
     """1: rim sensors see the full difference of a rim loss; 0: none."""
     nuisances: Nuisances = field(default_factory=Nuisances)
@@ -198,6 +201,11 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     pressing, setpoint = _draw_pressing(press, rng)
     run_effects = {n: for_run(n, p, hidden, press.plan.effect_spread) for n, p in press.effects.items()}
     physical = {n: p for n, p in run_effects.items() if n not in CHAIN_EFFECTS}
+    if press.plan.eased is not None:
+        own = np.random.default_rng([seed, 3, number])
+        share, begins = own.uniform(*press.plan.eased), own.uniform(0.3, 0.6)
+        begins = pressing.closed + begins * (pressing.opened - pressing.closed)
+        pressing = replace(pressing, eased=float(share), eased_from=float(begins))
     pressing = with_outside(replace(pressing, effects=physical), press.outside)
     places = solve_places(pressing, press.outside, press.plan.rim_contrast, press.plan.accuracy)
     core, faces = places.core, places.channels
@@ -216,6 +224,8 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     columns = measure(truth, times, chain, pressing.ambient, rng)
     if press.closed_column:
         columns["closed"] = ((times >= pressing.closed) & (times < pressing.opened)).astype(np.float64)
+    if press.plan.eased is not None:
+        columns["load"] = pressing.pressure_at(times)
     name = f"{press.name}-{number + 1:02d}"
     run = Run(name, _header(press, pressing, name, setpoint, rng), times, columns, "virtual press")
     return run, Truth(

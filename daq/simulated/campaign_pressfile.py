@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from daq.simulated.campaign_sensors import POSITIONS_MM
-from daq.simulated.physics_pressing import Plates
+from daq.simulated.physics_pressing import LOAD_REFERENCE, Plates
 
 
-def press_toml(positions: bool = False, plates: Plates | None = None) -> str:
+def press_toml(positions: bool = False, plates: Plates | None = None, loaded: bool = False) -> str:
     """Return the press file of the virtual press.
 
     Parameters
@@ -15,6 +15,8 @@ def press_toml(positions: bool = False, plates: Plates | None = None) -> str:
         Adds the sensors' places over the face.
     plates
         Of another press; steel of 10 mm otherwise.
+    loaded
+        The panel's contacts follow the column ``load``.
     """
     steel = plates or Plates()
     plate = (
@@ -33,6 +35,8 @@ def press_toml(positions: bool = False, plates: Plates | None = None) -> str:
         ('"plate_top", "boundary.top"', '"h_p_o"', "h_p_c"),
     ):
         text += f'\n[[contact]]\nbetween = [{pair}]\nopen = {opened}\nclosed = "{closed}"\n'
+        if loaded and "panel" in pair:
+            text += f'load = {{ column = "load", reference = {LOAD_REFERENCE:g}, unit = "N/cm2" }}\n'
     for name, (guess, lower, upper) in _GUESSES.items():
         text += f"\n[coefficients.{name}]\nguess = {guess}\nlower = {lower}\nupper = {upper}\n"
     places = f"position_mm = {[list(p) for p in POSITIONS_MM]}\n" if positions else ""

@@ -55,6 +55,14 @@ OUTSIDE = (
 )
 """Faults that are in no catalogue and that no combination of its entries explains."""
 
+UNLISTED: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType(
+    {"contact_levelling": {"share": (0.3, 0.8)}}
+)
+"""Laws of physics that are in no catalogue, and from where to where their parameters are drawn.
+
+``contact_levelling``: a contact grows with the pressure p as 1 - exp(-p / (share p_ref)), 1 at the reference.
+"""
+
 CHAIN_EFFECTS = ("clock_offset", "platen_offset", "sensor_fault")
 """Put in by the measuring chain, not by the physics."""
 
@@ -78,9 +86,11 @@ def draw_effect(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict
     Offsets of conductivity and heat capacity lie above or below nominal with equal chance, platen
     offsets take either sign on each side, sensor faults are drawn later, run by run.
     """
-    if name not in SIZES:
-        raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *OUTSIDE)))
-    drawn = {key: float(rng.uniform(*limits)) for key, limits in SIZES[name].items()}
+    if name not in SIZES and name not in UNLISTED:
+        raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *UNLISTED, *OUTSIDE)))
+    drawn = {key: float(rng.uniform(*limits)) for key, limits in {**SIZES, **UNLISTED}[name].items()}
+    if name in UNLISTED:
+        return drawn
     if name.endswith("_offset") and "ratio" in drawn:
         sign = 1.0 if rng.random() < 0.5 else -1.0
         return {"ratio": 1.0 + sign * scale * (drawn["ratio"] - 1.0)}
@@ -177,6 +187,6 @@ def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressi
 def split_names(names: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return catalogue names and outside names of a list; raise InputError for any other."""
     for name in names:
-        if name not in SIZES and name not in OUTSIDE:
-            raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *OUTSIDE)))
-    return [n for n in names if n in SIZES], [n for n in names if n in OUTSIDE]
+        if name not in SIZES and name not in UNLISTED and name not in OUTSIDE:
+            raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *UNLISTED, *OUTSIDE)))
+    return [n for n in names if n not in OUTSIDE], [n for n in names if n in OUTSIDE]

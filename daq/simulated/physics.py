@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from daq.records import Array, Panel
 from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics_mesh import Accuracy, build_knobs, build_mesh, first_state
-from daq.simulated.physics_pressing import Pressing
+from daq.simulated.physics_pressing import EASING_S, Pressing
 
 _STEPPING = {"fast": (1e-3, 0.5), "accurate": (1e-5, 0.1)}
 """Local error of a step [K] and longest step [s]."""
@@ -82,7 +82,7 @@ def _breakpoints(pressing: Pressing) -> list[float]:
         pressing.inserted, pressing.closed - ramp, pressing.closed, pressing.closed + ramp,
         pressing.opened - ramp_open, pressing.opened + ramp_open, pressing.removed,
         o.lapse_from, o.lapse_to, o.split_from, o.split_from + 2.0, o.draught_from, o.lift_from,
-        o.flash_from, o.flash_to,
+        o.flash_from, o.flash_to, pressing.eased_from, pressing.eased_from + EASING_S,
     ]  # fmt: skip
     inside = sorted({t for t in jumps if pressing.start + 1e-6 < t < pressing.end - 1e-6})
     return [pressing.start, *inside, pressing.end]

@@ -91,6 +91,12 @@ class Knobs(NamedTuple):
     deficit: float
     tau: float
     ratio: float
+    load: float
+    load_law: int
+    load_by: float
+    eased: float
+    eased_from: float
+    eased_to: float
     emissivity: float
     edge: float
     vapour: float
@@ -243,10 +249,21 @@ def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
+def pressed(t: float, k: Knobs) -> float:
+    """Return the factor on closed contacts by pressure, 1 at the reference: a power of it, or levelling off."""
+    if k.load_by == 0.0:
+        return 1.0
+    load = k.load * (1.0 - (1.0 - k.eased) * min(max((t - k.eased_from) / (k.eased_to - k.eased_from), 0.0), 1.0))
+    if k.load_law == 0:
+        return load**k.load_by  # type: ignore[no-any-return]
+    return (1.0 - np.exp(-load / k.load_by)) / (1.0 - np.exp(-1.0 / k.load_by))  # type: ignore[no-any-return]
+
+
+@compiled(inner=True, nogil=True, error_model="numpy")
 def contacts(t: float, f: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> None:
     """Fill the links between plates and panel, and what the open faces lose to air."""
     since = max(t - 0.5 * (k.close_0 + k.close_1), 0.0)
-    grown = k.h_pp_c * (1.0 - k.deficit * np.exp(-since / k.tau))
+    grown = k.h_pp_c * pressed(t, k) * (1.0 - k.deficit * np.exp(-since / k.tau))
     resting = k.h_pp_o * (k.lift if middle > k.lift_from else 1.0)
     lower = resting + f * (grown - resting)
     upper = f * grown * k.ratio

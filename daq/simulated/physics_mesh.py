@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.records import Array
 from daq.simulated.physics_kernel import Knobs, Stack, State
-from daq.simulated.physics_pressing import LOAD_REFERENCE, Pressing
+from daq.simulated.physics_pressing import EASING_S, LOAD_REFERENCE, Pressing
 
 Accuracy = Literal["fast", "accurate"]
 
@@ -99,9 +99,9 @@ def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
     def of(effect: str, parameter: str, default: float) -> float:
         return float(effects.get(effect, {}).get(parameter, default))
 
-    load = (pressing.pressure / LOAD_REFERENCE) ** of("contact_load", "exponent", 0.0)
+    levels_off = of("contact_levelling", "share", 0.0)
     return Knobs(
-        **_floats({**h, "h_pp_c": h["h_pp_c"] * load}),
+        **_floats(h),
         **_floats({name: value for name, value in vars(outside).items() if name in Knobs._fields}),
         ambient=float(pressing.ambient),
         inserted=float(pressing.inserted),
@@ -115,6 +115,12 @@ def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
         deficit=of("contact_buildup", "deficit", 0.0),
         tau=of("contact_buildup", "time_constant_s", 1.0),
         ratio=of("contact_asymmetry", "ratio", 1.0),
+        load=pressing.pressure / LOAD_REFERENCE,
+        load_law=1 if levels_off else 0,
+        load_by=levels_off or of("contact_load", "exponent", 0.0),
+        eased=float(pressing.eased),
+        eased_from=float(pressing.eased_from),
+        eased_to=float(pressing.eased_from + EASING_S),
         emissivity=of("open_radiation", "emissivity", 0.0),
         edge=of("edge_loss", "W_m3K", 0.0),
         vapour=of("vapour_convection", "W_m3K", 0.0),

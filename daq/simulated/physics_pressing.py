@@ -27,6 +27,8 @@ NEVER = 1e9
 """Later than any run. [s]"""
 LOAD_REFERENCE = 350.0
 """[N/cm²]"""
+EASING_S = 1.0
+"""Over so long a press lets go of pressure. [s]"""
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,15 @@ class Pressing:
     vapour_law: Literal["proportional", "uniform"] = "proportional"
     """How steam spreads over the cooler layers; a second law keeps tests from leaning on the first."""
     drying_law: DryingLaw = "equilibrium"
+    eased: float = 1.0
+    """Share of the pressure that is left from `eased_from` on, within `EASING_S`."""
+    eased_from: float = NEVER
+
+    def pressure_at(self, times: Array) -> Array:
+        """Return the pressure at any times, 0 while the press is open. [N/cm²]"""
+        share = 1.0 - (1.0 - self.eased) * np.clip((times - self.eased_from) / EASING_S, 0.0, 1.0)
+        closed = (times >= self.closed - self.closing_ramp / 2) & (times < self.opened + self.opening_ramp / 2)
+        return np.where(closed, self.pressure * share, 0.0)
 
     def moments(self, start_s: float = 0.0, removed_s: float = float("nan")) -> Moments:
         """Return when it truly began, closed and opened, on a clock that shows `start_s` at its 0. [s]"""

@@ -644,7 +644,9 @@ parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } bis { NUMBER(
 parameter-law-coldest_C = tiefste Temperatur der Kurve
 parameter-law-hottest_C = höchste Temperatur der Kurve
 parameter-law-last_s = späteste Zeit seit dem Schließen
+parameter-law-least_load = niedrigster Druck, bezogen
 parameter-law-level = Logarithmus des Faktors zur spätesten Zeit
+parameter-law-most_load = höchster Druck, bezogen
 parameter-law-strength = Stärke, 1 wie gefunden
 parameter-law-value = Wert an der Stützstelle { $knot }
 parameter-moisture_evaporation-moisture_percent = Wasser, das verdampft
@@ -990,10 +992,20 @@ worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, ma
 ## softsensor.diagnosis.laws: what is missing as a free function
 
 law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
+law-axis-load_share = Druck, als Anteil seines Bezugs
 law-axis-temperature_C = Temperatur [°C]
 law-axis-time_since_closing_s = Zeit seit dem Schließen [s]
+law-changes = Über das, was die Pressungen durchliefen, { $change ->
+        [falls] fällt
+       *[rises] steigt
+    } er zwischen { NUMBER($begin, maximumSignificantDigits: 3) } und { NUMBER($end, maximumSignificantDigits: 3) } um { NUMBER($percent, maximumFractionDigits: 0) } %.
+law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] heißer
+       *[cooler] kühler
+    }.
 law-heading = Was fehlt, ohne Namen
 law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
+law-kind-contact_by_load = Faktor auf die geschlossenen Kontakte der Platte, wenn sich der Druck ändert
 law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläche
 law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
 law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abkühlen nicht frei wird
@@ -1003,6 +1015,7 @@ law-not-told-from = Diese Pressungen können es nicht unterscheiden von: { $othe
 law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
 law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
+law-variable-load_share = Druck als Anteil seines Bezugs
 law-variable-temperature_C = Temperatur in °C
 law-variable-time_since_closing_s = Zeit seit dem Schließen in s
 

@@ -644,7 +644,9 @@ parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } to { NUMBER($
 parameter-law-coldest_C = lowest temperature of the curve
 parameter-law-hottest_C = highest temperature of the curve
 parameter-law-last_s = latest time since closing
+parameter-law-least_load = lowest pressure over its reference
 parameter-law-level = logarithm of the factor at the latest time
+parameter-law-most_load = highest pressure over its reference
 parameter-law-strength = strength, 1 as found
 parameter-law-value = value at knot { $knot }
 parameter-moisture_evaporation-moisture_percent = water that evaporates
@@ -973,10 +975,20 @@ worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, m
 ## softsensor.diagnosis.laws: what is missing as a free function
 
 law-axis-depth_share = height in the panel, as a share of its thickness
+law-axis-load_share = pressure, as a share of its reference
 law-axis-temperature_C = temperature [°C]
 law-axis-time_since_closing_s = time since closing [s]
+law-changes = Over what the runs visited it { $change ->
+        [falls] falls
+       *[rises] rises
+    } by { NUMBER($percent, maximumFractionDigits: 0) } % between { NUMBER($begin, maximumSignificantDigits: 3) } and { NUMBER($end, maximumSignificantDigits: 3) }.
+law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] hotter
+       *[cooler] cooler
+    }.
 law-heading = What is missing, without a name
 law-kind-contact = factor on the closed contacts of the panel
+law-kind-contact_by_load = factor on the panel's closed contacts as the pressure changes
 law-kind-contact_lower = factor on the closed contact of the lower face
 law-kind-contact_upper = factor on the closed contact of the upper face
 law-kind-heat = heat consumed as the panel warms up, not returned on cooling
@@ -986,6 +998,7 @@ law-not-told-from = These runs cannot distinguish it from: { $others }.
 law-resembles = Within its band it is the curve of a known cause: { $cause }.
 law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-variable-depth_share = height in the panel (0 below, 1 above)
+law-variable-load_share = pressure as a share of its reference
 law-variable-temperature_C = temperature in °C
 law-variable-time_since_closing_s = time since closing in s
 

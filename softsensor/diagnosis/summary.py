@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.records import Array
 from daq.words import Argument, Message, say
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, FEW_RUNS, Verdict
@@ -140,7 +141,17 @@ def law_said(found: Diagnosis) -> tuple[Message, ...]:
     others = tuple(say(f"law-kind-{kind}") for kind in law.set[1:])
     alike = (say("law-not-told-from", others=others),) if others else ()
     known = (say("law-resembles", cause=called(law.resembles)),) if law.resembles else ()
-    return (said, *alike, *known)
+    kelvin = core_cost(found.final, law.stage).kelvin
+    changes = (_law_changes(x, value),) if law.unit == "-" else ()
+    return (said, *changes, say("law-core", **_shift(kelvin)), *alike, *known)
+
+
+def _law_changes(x: Array, value: Array) -> Message:
+    """Say how a factor changes from its one extreme to the other, as its variable grows."""
+    first, last = sorted((int(np.argmin(value)), int(np.argmax(value))))
+    percent = 100.0 * (float(value[last] / value[first]) - 1.0)
+    change = "falls" if percent < 0.0 else "rises"
+    return say("law-changes", begin=float(x[first]), end=float(x[last]), percent=abs(percent), change=change)
 
 
 def core_said(found: Diagnosis) -> tuple[Message, ...]:

@@ -1,11 +1,11 @@
 """A contact that depends on the pressure: h = h_ref (p / p_ref)^exponent."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.effect import Effect, LawOf, Live, Need, Role, Scene, Terms
 from softsensor.effects.parameters import Parameter
 
 REFERENCE_PRESSURE = 350.0
@@ -18,6 +18,16 @@ With a load column it holds at the contact's ``reference``, or, without one, at 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(closed_contact={m: np.exp(values["exponent"] * np.log(load)) for m, load in scene.load.items()})
 
+
+def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
+    p = EFFECT.parameters[0]
+    for exponent in np.arange(p.lower, p.upper, 0.02) if kind is LawOf.CONTACT_BY_LOAD else ():
+        if abs(exponent) > LEAST_EXPONENT:
+            yield np.exp(exponent * np.log(x))
+
+
+LEAST_EXPONENT = 0.1
+"""Below it, the contact hardly depends on the pressure: 7 % between the pressure and half of it."""
 
 EFFECT = Effect(
     name="contact_load",
@@ -37,4 +47,5 @@ EFFECT = Effect(
     chance=0.61,  # an exponent anywhere from 0 to 0.95 has the root mean square 0.95/√3 = 0.55 = √0.61 x 0.7
     live=Live(Role.SCATTER),
     needs=Need.LOAD,
+    as_law=_as_law,
 )

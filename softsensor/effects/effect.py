@@ -139,6 +139,7 @@ class LawOf(StrEnum):
     CONTACT = "contact"
     CONTACT_LOWER = "contact_lower"
     CONTACT_UPPER = "contact_upper"
+    CONTACT_BY_LOAD = "contact_by_load"
     HEAT = "heat"
     EXCHANGE = "heat_exchange"
 

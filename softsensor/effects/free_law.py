@@ -11,6 +11,8 @@ effect                   values at the knots
                          factor 1 at the longest time seen, over log(1 + t / 2 s) of the time
                          t since closing; ``law_contact_lower`` and ``law_contact_upper`` on one of them alone,
                          with a level of its own, since the coefficient is also the other one's
+``law_contact_by_load``  logarithm of the factor on the closed panel's contacts, over that of the pressure as a
+                         share of its reference, where the factor is 1; beyond the pressures seen it stays
 ``law_heat``             heat that goes for good as the panel warms up, over its temperature [kJ/m³K]
 ``law_heat_exchange``    heat lost to the room, over the height in the panel [W/m³K]
 =======================  =========================================================================================
@@ -38,7 +40,7 @@ from softsensor.effects.parameters import Parameter
 
 SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
 """Which of the panel's contacts, from bottom to top, a law of contact is about."""
-KNOTS = {LawOf.CONTACT: 12, LawOf.HEAT: 9, LawOf.EXCHANGE: 5}
+KNOTS = {LawOf.CONTACT: 12, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.EXCHANGE: 5}
 """Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
 LENGTH = 1.3
 """Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
@@ -47,6 +49,7 @@ EARLY_S = 2.0
 HEAT_UNIT = 1e3
 """From what a law of heat is told in. [J/m³K per kJ/m³K]"""
 STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
+LEAST_LOAD, MOST_LOAD = "least_load", "most_load"
 LEVEL = "level"
 """Logarithm of the factor on one contact at the longest time seen; 0 in files of versions that had none."""
 VALUE = "value"
@@ -94,6 +97,11 @@ def contact_knots(last_s: float) -> Smooth:
     return Smooth.over(0.0, float(np.log1p(last_s / EARLY_S)), KNOTS[LawOf.CONTACT])
 
 
+def load_knots(least: float, most: float) -> Smooth:
+    """Return the process of a law of contact over the logarithm of the pressure as a share of its reference."""
+    return Smooth.over(float(np.log(least)), float(np.log(most)), KNOTS[LawOf.CONTACT_BY_LOAD])
+
+
 def heat_knots(coldest_C: float, hottest_C: float) -> Smooth:
     """Return the process of a law of heat, over temperature. [°C]"""
     return Smooth.over(coldest_C, hottest_C, KNOTS[LawOf.HEAT])
@@ -126,6 +134,25 @@ def levelled(law: Function, last_s: float, level: Any = 0.0) -> Function:
     """Return a law of contact whose value at the longest time seen is `level`. [s]"""
     shift = level - law(np.log1p(np.array([last_s]) / EARLY_S))
     return lambda x: law(x) + shift
+
+
+def load_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
+    """Return the factors of the panel's contacts whose pressure is known; beyond the pressures seen they stay."""
+    low, high = np.exp(smooth.knots[[0, -1]])
+    return Terms(
+        closed_contact={
+            m: np.exp(law(np.log(np.clip(scene.load[m], low, high))))
+            for m in scene.panel_contacts
+            if m in scene.load
+        }
+    )
+
+
+def at_reference(law: Function, smooth: Smooth) -> Function:
+    """Return a law of contact by pressure that is 0 at the reference, or at the pressure seen nearest to it."""
+    here = np.clip(np.zeros(1), smooth.knots[0], smooth.knots[-1])
+    shift = law(here)
+    return lambda x: law(x) - shift
 
 
 def heat_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
@@ -191,6 +218,17 @@ def _contact(side: str) -> LawEffect:
     return LawEffect(name, parameters, terms, SOURCE, live=live, needs=Need.PANEL)
 
 
+def _by_load() -> LawEffect:
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        smooth = load_knots(float(np.real(values[LEAST_LOAD])), float(np.real(values[MOST_LOAD])))
+        return load_terms(scene, at_reference(_given(smooth, values), smooth), smooth)
+
+    ends = {LEAST_LOAD: (0.5, "-"), MOST_LOAD: (1.0, "-")}
+    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT_BY_LOAD], "-", ends))
+    live = Live(Role.SCATTER, with_states=True)
+    return LawEffect("law_contact_by_load", parameters, terms, SOURCE, live=live, needs=Need.LOAD)
+
+
 def _heat() -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         smooth = heat_knots(float(np.real(values[COLDEST_C])), float(np.real(values[HOTTEST_C])))
@@ -217,4 +255,4 @@ SOURCE = "free function, learned from the runs"
 @cache
 def laws() -> dict[str, Effect]:
     """Return the effects that carry a law, by name."""
-    return {effect.name: effect for effect in (*map(_contact, SIDES), _heat(), _exchange())}
+    return {effect.name: effect for effect in (*map(_contact, SIDES), _by_load(), _heat(), _exchange())}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import cast
@@ -46,20 +47,27 @@ LAPSE: Effects = {"contact_lapse": {"drop": 0.5, "from_share": 0.25, "lasts_shar
 """Outside the catalogue: the upper contact halves from 7.5 to 18 s after closing."""
 LAPSE_FOR_GOOD: Effects = {"contact_lapse": {"drop": 0.5, "from_share": 0.4, "lasts_share": 2.0}}
 STEAM: Effects = {"moisture_evaporation": {"moisture_percent": 5.0, "temperature_C": 102.0}}
+LEVELLING: Effects = {"contact_levelling": {"share": 0.5}}
+"""Outside the catalogue: a contact that grows with the pressure p as 1 - exp(-2 p / p_ref)."""
+EASED = replace(THIN, eased=(0.2, 0.5), closed_column=True)
+"""Its limit switch tells the opening: by the faces alone, a contact that eases off looks like one that opens."""
 GROWTH: Effects = {"contact_buildup": {"deficit": 0.7, "time_constant_s": 8.0}}
 
 
 @cache
 def settled(hidden: str) -> SettledModel:
-    press = parse_press(press_toml())
+    plan = EASED if hidden in ("levelling", "eased") else THIN
+    press = parse_press(press_toml(loaded=plan is EASED))
     effects = {
+        "levelling": LEVELLING,
+        "eased": None,
         "lapse": LAPSE,
         "lapse for good": LAPSE_FOR_GOOD,
         "steam": STEAM,
         "growth": GROWTH,
         "nothing": None,
     }[hidden]
-    _, digests = _screened(press, [run for run, _ in make_campaign(41, 8, effects, THIN)])
+    _, digests = _screened(press, [run for run, _ in make_campaign(41, 8, effects, plan)])
     return settle_base(ThermalModel(press), digests)
 
 
@@ -118,6 +126,19 @@ def test_a_smooth_law_of_the_contact_lies_in_its_band_and_is_recognised():
 
 
 @pytest.mark.campaign
+def test_a_contact_that_follows_the_pressure_is_found_by_it():
+    """The press eases off within each pressing: contacts scatter between pressings by more than pressures do."""
+    found = law("levelling")
+    assert found is not None
+    assert found.set == ("contact_by_load",)
+    x, value, low, high = found.curve.T
+    true = (1.0 - np.exp(-2.0 * x)) / (1.0 - np.exp(-2.0))
+    assert np.mean((true >= low) & (true <= high)) >= 0.9
+    assert np.sqrt(np.mean((value - true) ** 2)) < 0.1 * np.ptp(true)
+    assert law("eased") is None
+
+
+@pytest.mark.campaign
 def test_heat_that_goes_at_the_boiling_point_is_found_by_temperature_and_recognised():
     found = law("steam")
     assert found is not None
@@ -127,15 +148,16 @@ def test_heat_that_goes_at_the_boiling_point_is_found_by_temperature_and_recogni
     assert found.resembles == "moisture_evaporation"
 
 
-@pytest.mark.parametrize("kind", ["contact_upper", "heat", "heat_exchange"])
+@pytest.mark.parametrize("kind", ["contact_upper", "contact_by_load", "heat", "heat_exchange"])
 def test_a_law_in_a_model_file_heats_the_panel_as_the_fitted_one_did(kind):
     made = {
         "contact_upper": laws.contact_by_time(30.0, "upper"),
+        "contact_by_load": laws.contact_by_load(0.3, 1.2),
         "heat": laws.heat_by_temperature(40.0, 160.0),
         "heat_exchange": laws.exchange_by_depth(),
     }[kind]
-    press = parse_press(press_toml())
-    run, truth = make_campaign(43, 1, None, THIN)[0]
+    press = parse_press(press_toml(loaded=True))
+    run, truth = make_campaign(43, 1, None, EASED)[0]
     numbers = 0.6 * np.random.default_rng(4).normal(size=len(made.effect.parameters))
     fitted = {made.effect.key(p.name): v for p, v in zip(made.effect.parameters, numbers, strict=True)}
     stored = find_effect(f"law_{kind}")
@@ -272,10 +294,11 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     curve = np.stack([x, 1.0 - 0.5 * x / 30.0, x, x], axis=1)
     told = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
     one = Law(*told, stage=settled("nothing"), kept={})
-    found = SimpleNamespace(law=one, extended=SimpleNamespace(heldout_rmse_K=1.2))
+    found = SimpleNamespace(law=one, final=settled("nothing"), extended=SimpleNamespace(heldout_rmse_K=1.2))
     said = [words(m, language) for m in law_said(cast(Diagnosis, found))]
     assert part in said[0]
-    assert len(said) == 2
+    assert len(said) == 4
+    assert {"en": "falls by 50 % between 0.0 and 30", "de": "zwischen 0,0 und 30 um 50 %"}[language] in said[1]
     content = one.as_json()
     assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
     assert all(len(row) == 4 for row in content["curve"])

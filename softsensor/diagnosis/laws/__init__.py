@@ -14,6 +14,9 @@ kind               variable                     curve
 ``contact``        ``time_since_closing_s``     factor on the closed panel's contacts, 1 at the latest time seen;
                                                 ``contact_lower`` and ``contact_upper`` on one of them alone, 1
                                                 where it is the press's closed coefficient as the other is
+``contact_by_load``  ``load_share``             factor on the closed panel's contacts by the pressure over its
+                                                reference, 1 there; told apart only by pressures that change within
+                                                a pressing, as each has contacts of its own
 ``heat``           ``temperature_C``            heat that goes for good as the panel warms up, negative where it
                                                 comes [kJ/m³K]
 ``heat_exchange``  ``depth_share``              heat lost to the room by height in the panel, 0 at its lower face;
@@ -23,7 +26,7 @@ kind               variable                     curve
 Runs left out decide: each, with the law from the others and its own contacts fitted, must be met better than
 without a law, with an interval above nothing; for each the kind is chosen by the other runs. Kinds that these do
 not tell from the best form a set. Laws that the effects' terms cannot carry (conductivity as a free function of
-temperature, contact by pressure or temperature) are not tried: what follows them stays unknown, or is told by the
+temperature, contact by temperature) are not tried: what follows them stays unknown, or is told by the
 nearest kind.
 
 References

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +17,15 @@ from softsensor.effects.free_law import (
     EARLY_S,
     HOTTEST_C,
     LAST_S,
+    LEAST_LOAD,
     LEVEL,
+    MOST_LOAD,
     SIDES,
     SOURCE,
     VALUE,
     Function,
     Smooth,
+    at_reference,
     contact_knots,
     contact_terms,
     exchange_knots,
@@ -30,8 +33,11 @@ from softsensor.effects.free_law import (
     heat_knots,
     heat_terms,
     levelled,
+    load_knots,
+    load_terms,
 )
 from softsensor.effects.parameters import Parameter
+from softsensor.signals.digest import Digest
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -41,6 +47,10 @@ HEAT_SIZE = 1e3
 """Of a law of heat, about the heat capacity of wood per volume. [kJ/m³K]"""
 EXCHANGE_SIZE = 1e3
 """Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
+VARIES = 1.05
+"""The highest pressure over the lowest from which a contact is asked whether it follows them."""
+CALM_S = 1.0
+"""Pressures count from so long after closing until so long before opening. [s]"""
 POINTS = 33
 """Of a curve that is handed out."""
 
@@ -76,6 +86,9 @@ def kinds(stage: SettledModel) -> Iterator[LawKind]:
     ]
     if press.has_states and lasts:
         yield from (contact_by_time(float(np.max(lasts)), side) for side in SIDES)
+    loads = _closed_loads(digests)
+    if len(loads) and loads.max() > VARIES * loads.min():
+        yield contact_by_load(float(loads.min()), float(loads.max()))
     hottest = float(np.max([np.nanmax(d.y) for d in digests]))
     coldest = float(np.min([np.nanmin(d.y[:3]) for d in digests])) + COLDEST_K
     if hottest > coldest + COLDEST_K:
@@ -103,6 +116,33 @@ def contact_by_time(last_s: float, side: str = "") -> LawKind:
     effect = _effect(kind, smooth, terms)
     x = EARLY_S * np.expm1(along)
     return LawKind(kind, "time_since_closing_s", "-", effect, x, weights, np.exp, kept)
+
+
+def _closed_loads(digests: Sequence[Digest]) -> Array:
+    """Return the pressures on the panel's contacts while closed, over their reference."""
+    found = [np.zeros(0)]
+    for digest in digests:
+        case, moments = digest.cases[False], digest.moments
+        middle = 0.5 * (case.edges[1:] + case.edges[:-1])
+        shut = (middle > moments.closed_s + CALM_S) & ~(middle > moments.opened_s - CALM_S)
+        found += [case.load[m][shut] for m in case.scene.panel_contacts if m in case.load]
+    return np.concatenate(found)
+
+
+def contact_by_load(least: float, most: float) -> LawKind:
+    """Return the contacts as a free function of the pressure over its reference."""
+    smooth = load_knots(least, most)
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return load_terms(scene, at_reference(_function(smooth, values), smooth), smooth)
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return {LEAST_LOAD: least, MOST_LOAD: most, **_at_knots(smooth, numbers)}
+
+    along = np.linspace(smooth.knots[0], smooth.knots[-1], POINTS)
+    weights = at_reference(smooth.weights, smooth)(along)
+    effect = _effect(LawOf.CONTACT_BY_LOAD, smooth, terms)
+    return LawKind(LawOf.CONTACT_BY_LOAD, "load_share", "-", effect, np.exp(along), weights, np.exp, kept)
 
 
 def heat_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
