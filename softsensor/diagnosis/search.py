@@ -299,14 +299,15 @@ def candidates_for(stage: SettledModel) -> list[Effect]:
             continue
         if effect.needs == Need.SWITCH and not any(d.switch is not None for d in digests):
             continue
-        if effect.needs == Need.LOAD and not _varies(loads):
+        if effect.needs == Need.LOAD and not varies(loads):
             continue
         found.append(effect)
     return found
 
 
-def _varies(loads: Sequence[Mapping[int, Array]]) -> bool:
-    values = [v for load in loads for series in load.values() for v in (series.min(), series.max())]
+def varies(loads: Sequence[Mapping[int, Array]]) -> bool:
+    """Whether pressures (by contact, in each step) differ enough that something could follow them."""
+    values = [v for load in loads for series in load.values() if len(series) for v in (series.min(), series.max())]
     return bool(values) and max(values) > 1.05 * min(values)
 
 

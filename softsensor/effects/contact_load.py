@@ -21,7 +21,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
     p = EFFECT.parameters[0]
-    for exponent in np.arange(p.lower, p.upper, 0.02) if kind is LawOf.CONTACT_BY_LOAD else ():
+    for exponent in np.linspace(p.lower, p.upper, 151) if kind is LawOf.CONTACT_BY_LOAD else ():
         if abs(exponent) > LEAST_EXPONENT:
             yield np.exp(exponent * np.log(x))
 

@@ -57,7 +57,7 @@ CASES = {
 }
 """What is hidden, the right kinds, and the true curve of a truth over x."""
 EASED_CASES = ("contact_levelling", "nothing")
-"""Cases in which the press eases off within each pressing and says when it opens: nothing else tells a pressure."""
+"""Cases in which the press eases off within each pressing and says when it opens."""
 
 
 class Answer(NamedTuple):

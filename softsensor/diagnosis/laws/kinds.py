@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.search import SettledModel, varies
 from softsensor.effects import Effect, Scene, Terms
 from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import (
@@ -37,6 +37,7 @@ from softsensor.effects.free_law import (
     load_terms,
 )
 from softsensor.effects.parameters import Parameter
+from softsensor.heat.timing import OPENING_RAMP_S
 from softsensor.signals.digest import Digest
 
 # Numbers without another source were set by hand, 2026-11.
@@ -47,10 +48,6 @@ HEAT_SIZE = 1e3
 """Of a law of heat, about the heat capacity of wood per volume. [kJ/m³K]"""
 EXCHANGE_SIZE = 1e3
 """Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
-VARIES = 1.05
-"""The highest pressure over the lowest from which a contact is asked whether it follows them."""
-CALM_S = 1.0
-"""Pressures count from so long after closing until so long before opening. [s]"""
 POINTS = 33
 """Of a curve that is handed out."""
 
@@ -87,7 +84,7 @@ def kinds(stage: SettledModel) -> Iterator[LawKind]:
     if press.has_states and lasts:
         yield from (contact_by_time(float(np.max(lasts)), side) for side in SIDES)
     loads = _closed_loads(digests)
-    if len(loads) and loads.max() > VARIES * loads.min():
+    if varies([{0: loads}]):
         yield contact_by_load(float(loads.min()), float(loads.max()))
     hottest = float(np.max([np.nanmax(d.y) for d in digests]))
     coldest = float(np.min([np.nanmin(d.y[:3]) for d in digests])) + COLDEST_K
@@ -124,7 +121,7 @@ def _closed_loads(digests: Sequence[Digest]) -> Array:
     for digest in digests:
         case, moments = digest.cases[False], digest.moments
         middle = 0.5 * (case.edges[1:] + case.edges[:-1])
-        shut = (middle > moments.closed_s + CALM_S) & ~(middle > moments.opened_s - CALM_S)
+        shut = (middle > moments.closed_s + moments.ramp_s) & ~(middle > moments.opened_s - OPENING_RAMP_S)
         found += [case.load[m][shut] for m in case.scene.panel_contacts if m in case.load]
     return np.concatenate(found)
 
