@@ -43,15 +43,29 @@ def runs(
     until: datetime | None = None,
 ) -> Page[RunRecord]:
     """Return a page of runs, newest first; `since` and `until` filter by their start."""
-    wanted = {PRESS.c.name: press, RUN.c.panel_material: material, RUN.c.status: status and str(status)}
+    wanted = {RUN.c.panel_material: material, RUN.c.status: status and str(status)}
     query = runs_query().where(*(column == value for column, value in wanted.items() if value is not None))
     if cursor is not None:
         query = query.where(RUN.c.run_number < cursor_number(cursor))
     if since is not None or until is not None:
         query = query.where(*_begun_between(since, until))
-    rows = connection.execute(query.order_by(RUN.c.run_number.desc()).limit(limit + 1)).all()
+    rows = _newest(connection, query.limit(limit + 1), press)[: limit + 1]
     items = tuple(run_record_of(row) for row in rows[:limit])
     return Page(items, str(items[-1].number) if len(rows) > limit else None)
+
+
+def _newest(connection: Connection, query: Select[Any], press: str | None) -> list[Row[Any]]:
+    """Return the rows of `query`, newest first; of a press by its number, as the index goes.
+
+    What is recorded and what was imported under one name are two presses to the store: each is asked by itself.
+    """
+    number = RUN.c.run_number
+    if press is None:
+        return list(connection.execute(query.order_by(number.desc())).all())
+    ids = connection.execute(select(PRESS.c.press_id).where(PRESS.c.name == press)).scalars().all()
+    own = [query.where(RUN.c.press_id == press_id).order_by(number.desc()) for press_id in ids]
+    rows = [row for one in own for row in connection.execute(one).all()]
+    return sorted(rows, key=lambda row: row.run_number, reverse=True)
 
 
 def cursor_number(cursor: str) -> int:

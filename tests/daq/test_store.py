@@ -5,6 +5,7 @@ import math
 import sqlite3
 import string
 import tempfile
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -221,6 +222,21 @@ def test_runs_of_a_time_are_all_found_wherever_the_index_sends_the_search(store,
         ]
         found = every(lambda cursor: store.runs(since=since, until=until, cursor=cursor, limit=2))  # noqa: B023
         assert [r.run for r in found] == wanted[::-1]
+
+
+def test_the_newest_runs_of_a_press_take_no_longer_however_many_are_stored(tmp_path):
+    steps, taken, run = [], [], Run("file-0", {}, np.arange(2.0), {"top_1": np.ones(2)})
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        connection = store.database.engine.connect()
+        connection.connection.dbapi_connection.set_progress_handler(lambda: steps.append(1), 10)
+        connection.close()  # the pool hands it out again
+        for first, last in ((0, 20), (20, 1000)):
+            store.import_runs([replace(run, name=f"file-{i}") for i in range(first, last)], "lab")
+            recorded = record_one_run(store)
+            steps.clear()
+            assert [r.run for r in store.runs(press="lab", limit=3).items][:2] == [recorded, f"file-{last - 1}"]
+            taken.append(len(steps))
+    assert 0 < taken[1] <= 2 * taken[0]
 
 
 def test_pages_of_runs_hold_every_run_once_newest_first(store):
