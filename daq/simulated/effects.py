@@ -56,11 +56,17 @@ OUTSIDE = (
 """Faults that are in no catalogue and that no combination of its entries explains."""
 
 UNLISTED: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType(
-    {"contact_levelling": {"share": (0.3, 0.8)}}
+    {
+        "contact_levelling": {"share": (0.3, 0.8)},
+        "contact_break": {"lost": (0.3, 0.6), "temperature_C": (140.0, 160.0)},
+        "conductivity_step": {"lost": (0.25, 0.5), "temperature_C": (60.0, 110.0)},
+    }
 )
 """Laws of physics that are in no catalogue, and from where to where their parameters are drawn.
 
 ``contact_levelling``: a contact grows with the pressure p as 1 - exp(-p / (share p_ref)), 1 at the reference.
+``contact_break``: both contacts lose a share where the face they touch is above a temperature.
+``conductivity_step``: the panel's conductivity loses a share above a temperature.
 """
 
 CHAIN_EFFECTS = ("clock_offset", "platen_offset", "sensor_fault")

@@ -50,6 +50,8 @@ STEFAN_BOLTZMANN = 5.670374419e-8
 """CODATA 2018, exact. [W/m²K⁴]"""
 VAPOUR_C = 100.0
 """Steam leaves layers above this and condenses in cooler ones. [°C]"""
+STEP_K = 3.0
+"""How sharply laws that step do so. [K]"""
 CURE_REFERENCE_K = 423.15
 """150 °C, where `CURE_RATE_150` holds. [K]"""
 
@@ -91,6 +93,10 @@ class Knobs(NamedTuple):
     deficit: float
     tau: float
     ratio: float
+    k_step: float
+    k_step_at: float
+    broken: float
+    broken_at: float
     load: float
     load_law: int
     load_by: float
@@ -241,11 +247,20 @@ def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss:
     if k.k_slope != 0.0:
         for i in range(s.first, s.last):
             g[i + 1] *= 1.0 + k.k_slope * (0.5 * (T[i] + T[i + 1]) - 20.0)
+    if k.k_step != 0.0:
+        for i in range(s.first, s.last):
+            g[i + 1] *= stepped(0.5 * (T[i] + T[i + 1]), k.k_step, k.k_step_at)
     if k.split_r > 0.0 and middle > k.split_from:
         opened = k.split_r * min((t - k.split_from) / 2.0, 1.0)
         g[k.split_link] /= 1.0 + opened * g[k.split_link]
     contacts(t, f, middle, T, k, s, g, loss)
     return f
+
+
+@compiled(inner=True, nogil=True, error_model="numpy")
+def stepped(t: float, lost: float, at: float) -> float:
+    """Return a factor that falls from 1 by `lost` about a temperature, over some kelvins."""
+    return 1.0 - lost / (1.0 + np.exp(-(t - at) / STEP_K))  # type: ignore[no-any-return]
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
@@ -265,8 +280,10 @@ def contacts(t: float, f: float, middle: float, T: Array, k: Knobs, s: Stack, g:
     since = max(t - 0.5 * (k.close_0 + k.close_1), 0.0)
     grown = k.h_pp_c * pressed(t, k) * (1.0 - k.deficit * np.exp(-since / k.tau))
     resting = k.h_pp_o * (k.lift if middle > k.lift_from else 1.0)
-    lower = resting + f * (grown - resting)
-    upper = f * grown * k.ratio
+    lower, upper = resting + f * (grown - resting), f * grown * k.ratio
+    if k.broken != 0.0:
+        lower = resting + f * (grown * stepped(T[s.first], k.broken, k.broken_at) - resting)
+        upper *= stepped(T[s.last], k.broken, k.broken_at)
     if k.lapse_from < middle < k.lapse_to:
         upper *= k.lapse_factor
     if k.emissivity > 0.0 and f < 1.0:

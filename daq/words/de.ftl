@@ -1004,8 +1004,10 @@ law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimu
        *[cooler] kühler
     }.
 law-heading = Was fehlt, ohne Namen
+law-kind-conductivity = Faktor auf die Wärmeleitfähigkeit der Platte
 law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
 law-kind-contact_by_load = Faktor auf die geschlossenen Kontakte der Platte, wenn sich der Druck ändert
+law-kind-contact_by_temperature = Faktor auf die geschlossenen Kontakte der Platte, wenn sich ihre Flächen erwärmen
 law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläche
 law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
 law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abkühlen nicht frei wird

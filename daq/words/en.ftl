@@ -987,8 +987,10 @@ law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumF
        *[cooler] cooler
     }.
 law-heading = What is missing, without a name
+law-kind-conductivity = factor on the conductivity of the panel
 law-kind-contact = factor on the closed contacts of the panel
 law-kind-contact_by_load = factor on the panel's closed contacts as the pressure changes
+law-kind-contact_by_temperature = factor on the panel's closed contacts as its faces warm up
 law-kind-contact_lower = factor on the closed contact of the lower face
 law-kind-contact_upper = factor on the closed contact of the upper face
 law-kind-heat = heat consumed as the panel warms up, not returned on cooling

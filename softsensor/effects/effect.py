@@ -83,6 +83,11 @@ REFERENCE_C = 20.0
 """Temperature at which conductivity and heat capacity are given; their slopes count from here. [°C]"""
 
 
+BENDS_C = np.linspace(0.0, 300.0, 61)
+"""Where a free function of temperature is given, straight in between and constant beyond: from cold panels to the
+hottest platens; 5 K, so that a function that bends within 20 K is off by (5/20)²/8, less than 1 %. [°C]"""
+
+
 @dataclass(frozen=True)
 class Terms:
     r"""Changes of the stack and of the measuring chain; what is left out stays as it was.
@@ -96,6 +101,8 @@ class Terms:
     """Factor by cell."""
     conductivity_slope: Numbers | float = 0.0
     """Relative, by cell. [1/K]"""
+    conductivity_bend: Numbers | float = 0.0
+    """Logarithm of a factor on the panel's conductivity, at `BENDS_C` (61)."""
     capacity: Numbers | float = 1.0
     """Factor on rho c by cell."""
     capacity_slope: Numbers | float = 0.0
@@ -104,6 +111,8 @@ class Terms:
     """Heat lost to ambient per volume, by cell. [W/m³K]"""
     closed_contact: Mapping[int, Numbers] = field(default_factory=dict)
     """Factor on a closed contact's coupling, by contact: a number or one for each step."""
+    contact_bend: Numbers | float = 0.0
+    """Logarithm of a factor on the panel's closed contacts by the temperature of its face, at `BENDS_C` (61)."""
     emissivity: Any = 0.0
     """Between parted neighbours while open."""
     convection: Any = 0.0
@@ -127,7 +136,8 @@ class Terms:
 FACTORS = ("conductivity", "capacity")
 """Terms that several effects multiply."""
 SUMMANDS = (
-    *("conductivity_slope", "capacity_slope", "exchange", "emissivity", "convection"),
+    *("conductivity_slope", "conductivity_bend", "capacity_slope", "exchange", "contact_bend"),
+    *("emissivity", "convection"),
     *("plates_offset", "lag", "footprint", "clock"),
 )
 """Terms that they add up."""
@@ -140,6 +150,8 @@ class LawOf(StrEnum):
     CONTACT_LOWER = "contact_lower"
     CONTACT_UPPER = "contact_upper"
     CONTACT_BY_LOAD = "contact_by_load"
+    CONTACT_BY_TEMPERATURE = "contact_by_temperature"
+    CONDUCTIVITY = "conductivity"
     HEAT = "heat"
     EXCHANGE = "heat_exchange"
 

@@ -13,6 +13,10 @@ effect                   values at the knots
                          with a level of its own, since the coefficient is also the other one's
 ``law_contact_by_load``  logarithm of the factor on the closed panel's contacts, over that of the pressure as a
                          share of its reference, where the factor is 1; beyond the pressures seen it stays
+``law_conductivity``     logarithm of the factor on the panel's conductivity, over its temperature
+``law_contact_by_temperature``
+                         logarithm of the factor on the closed panel's contacts, over the temperature of the face
+                         that each touches, 0 at the hottest seen
 ``law_heat``             heat that goes for good as the panel warms up, over its temperature [kJ/m³K]
 ``law_heat_exchange``    heat lost to the room, over the height in the panel [W/m³K]
 =======================  =========================================================================================
@@ -34,13 +38,25 @@ import numpy as np
 
 from daq.records import Array
 from daq.words import Message, say
-from softsensor.effects.effect import Conversion, Effect, LawOf, Live, Need, Numbers, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import (
+    BENDS_C,
+    Conversion,
+    Effect,
+    LawOf,
+    Live,
+    Need,
+    Numbers,
+    Role,
+    Scene,
+    Terms,
+    on_panel,
+)
 from softsensor.effects.moisture_evaporation import RATE, SOFTNESS
 from softsensor.effects.parameters import Parameter
 
 SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
 """Which of the panel's contacts, from bottom to top, a law of contact is about."""
-KNOTS = {LawOf.CONTACT: 12, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.EXCHANGE: 5}
+KNOTS = {LawOf.CONTACT: 12, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.CONDUCTIVITY: 9, LawOf.EXCHANGE: 5}
 """Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
 LENGTH = 1.3
 """Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
@@ -105,6 +121,26 @@ def load_knots(least: float, most: float) -> Smooth:
 def heat_knots(coldest_C: float, hottest_C: float) -> Smooth:
     """Return the process of a law of heat, over temperature. [°C]"""
     return Smooth.over(coldest_C, hottest_C, KNOTS[LawOf.HEAT])
+
+
+def conductivity_terms(law: Function, smooth: Smooth) -> Terms:
+    """Return the panel's conductivity with its free function; beyond the temperatures seen it stays."""
+    return Terms(conductivity_bend=law(_within(smooth)))
+
+
+def face_terms(law: Function, smooth: Smooth) -> Terms:
+    """Return closed contacts with the free function of the panel's face; beyond what was seen they stay."""
+    return Terms(contact_bend=law(_within(smooth)))
+
+
+def at_hottest(law: Function, smooth: Smooth) -> Function:
+    """Return a law that is 0 at the hottest temperature seen."""
+    shift = law(smooth.knots[-1:])
+    return lambda x: law(x) - shift
+
+
+def _within(smooth: Smooth) -> Array:
+    return np.clip(BENDS_C, smooth.knots[0], smooth.knots[-1])
 
 
 def exchange_knots() -> Smooth:
@@ -229,15 +265,30 @@ def _by_load() -> LawEffect:
     return LawEffect("law_contact_by_load", parameters, terms, SOURCE, live=live, needs=Need.LOAD)
 
 
+_ENDS = {COLDEST_C: (40.0, "°C"), HOTTEST_C: (200.0, "°C")}
+
+
 def _heat() -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         smooth = heat_knots(float(np.real(values[COLDEST_C])), float(np.real(values[HOTTEST_C])))
         return heat_terms(scene, _given(smooth, values), smooth)
 
-    ends = {COLDEST_C: (40.0, "°C"), HOTTEST_C: (200.0, "°C")}
-    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "kJ/m³K", ends))
+    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "kJ/m³K", _ENDS))
     live = Live(Role.OWN_FILTER)
     return LawEffect("law_heat", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
+
+
+def _by_temperature(kind: LawOf) -> LawEffect:
+    def terms(_: Scene, values: Mapping[str, Any]) -> Terms:
+        smooth = heat_knots(float(np.real(values[COLDEST_C])), float(np.real(values[HOTTEST_C])))
+        law = _given(smooth, values)
+        if kind is LawOf.CONDUCTIVITY:
+            return conductivity_terms(law, smooth)
+        return face_terms(at_hottest(law, smooth), smooth)
+
+    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "-", _ENDS))
+    live = Live(Role.OWN_FILTER)
+    return LawEffect(f"law_{kind}", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
 
 
 def _exchange() -> LawEffect:
@@ -255,4 +306,6 @@ SOURCE = "free function, learned from the runs"
 @cache
 def laws() -> dict[str, Effect]:
     """Return the effects that carry a law, by name."""
-    return {effect.name: effect for effect in (*map(_contact, SIDES), _by_load(), _heat(), _exchange())}
+    bends = map(_by_temperature, (LawOf.CONTACT_BY_TEMPERATURE, LawOf.CONDUCTIVITY))
+    found = (*map(_contact, SIDES), _by_load(), *bends, _heat(), _exchange())
+    return {effect.name: effect for effect in found}

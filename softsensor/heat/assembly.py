@@ -17,7 +17,7 @@ from daq.press.press_file import Contact, Press
 from daq.printed import on_screen
 from daq.records import Array, InputError, Panel
 from daq.words import say
-from softsensor.effects.effect import Terms
+from softsensor.effects.effect import BENDS_C, Terms
 from softsensor.heat import implicit_steps
 from softsensor.heat.mesh import Mesh
 
@@ -121,6 +121,7 @@ class Layout:
             k=k * terms.conductivity,
             k_slope=self._spread(terms.conductivity_slope),
             k_table=self.k_table,
+            bends=_bends(terms),
             c=c * terms.capacity,
             c_slope=self._spread(terms.capacity_slope),
             c_table=self.c_table,
@@ -149,9 +150,10 @@ class Layout:
         self, terms: Terms, d_terms: Mapping[str, Terms], names: tuple[str, ...], p: int
     ) -> implicit_steps.Tangents:
         """Return the derivatives of the stack by the named parameters, with room for `p`."""
-        if not names and not terms.conversions:
+        if not names and not terms.conversions and not bent(terms):
             return self.unmoved
-        d = _tangents(len(self.k), len(self.interface), len(terms.conversions), p)
+        rows = len(BENDS_C) if bent(terms) else 0
+        d = _tangents(len(self.k), len(self.interface), len(terms.conversions), p, rows)
         index = {name: i for i, name in enumerate(names)}
         for m, state, kind, name in self.spots:
             if name in index:
@@ -162,6 +164,8 @@ class Layout:
             d.c[i] = self.c * t.capacity
             d.k_slope[i] = t.conductivity_slope
             d.c_slope[i] = t.capacity_slope
+            if bent(t):
+                d.bends[0, i], d.bends[1, i] = t.conductivity_bend, t.contact_bend
             d.exchange[i] = t.exchange
             d.emissivity[i] = t.emissivity
             d.convection[i] = t.convection
@@ -174,12 +178,24 @@ class Layout:
         return d
 
 
-def _tangents(n: int, contacts: int, r: int, p: int) -> implicit_steps.Tangents:
+def bent(terms: Terms) -> bool:
+    """Whether a free function of temperature is among the terms."""
+    return bool(np.ndim(terms.conductivity_bend) or np.ndim(terms.contact_bend))
+
+
+def _bends(terms: Terms) -> Array:
+    """Return both free functions of temperature (2, 61), or none at all (2, 0)."""
+    if not bent(terms):
+        return np.zeros((2, 0))
+    return np.stack([np.zeros(len(BENDS_C)) + x for x in (terms.conductivity_bend, terms.contact_bend)])
+
+
+def _tangents(n: int, contacts: int, r: int, p: int, bends: int = 0) -> implicit_steps.Tangents:
     """Return tangents of nothing yet, by `p` parameters."""
     z = np.zeros
     return implicit_steps.Tangents(
         z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((contacts, 3, 3, p)), z(p), z(p), z((2, p)),
-        z((r, p, n)), z((r, 4, p)),
+        z((r, p, n)), z((r, 4, p)), z((2, p, bends)),
     )  # fmt: skip
 
 

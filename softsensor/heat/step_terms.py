@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daq.compiled import compiled
 from daq.printed import on_screen
 from daq.records import GAS_CONSTANT
-from softsensor.effects.effect import REFERENCE_C
+from softsensor.effects.effect import BENDS_C, REFERENCE_C
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -44,6 +44,7 @@ BOILING_C = 100.0
 """Water boils at, at 1013 hPa; 99.97 by IAPWS-IF97. [°C]"""
 _FLOOR = 0.05
 """Least factor a property falls to when it falls with temperature."""
+BEND_STEP_K = float(BENDS_C[1] - BENDS_C[0])
 _NODES, _SHARES = np.polynomial.legendre.leggauss(4)
 
 
@@ -94,6 +95,9 @@ class Stack(NamedTuple):
     law: Array
     """Rate of each conversion (r, 4): kind, a, b, c. Kind 0: a exp(-b/R (1/T - 1/c)), kind 1: softened
     ramp a (T - b)+ with width c. [1/s, J/mol, K | 1/sK, °C, K]"""
+    bends: Array
+    """Logarithms of factors by temperature at `BENDS_C` (2, 61): on the conductivity where `wet` is set, on the
+    closed contacts of these cells by the temperature of the outermost one; (2, 0) without."""
 
 
 class Tangents(NamedTuple):
@@ -116,6 +120,8 @@ class Tangents(NamedTuple):
     """(r, P, n)"""
     law: Array
     """(r, 4, P)"""
+    bends: Array
+    """(2, P, 61) or (2, P, 0)"""
 
 
 class State(NamedTuple):
@@ -255,6 +261,55 @@ def properties(dx, law, star, dstar, value, dvalue):
 
 
 @compiled(inner=True)
+def _bend(bends, t):
+    """Return where a temperature stands in a free function, how far beyond, its value and its slope. [1/K]"""
+    last = bends.shape[0] - 1
+    x = (t - BENDS_C[0]) / BEND_STEP_K
+    j = min(max(int(x), 0), last - 1)
+    u = min(max(x - j, 0.0), 1.0)
+    slope = (bends[j + 1] - bends[j]) / BEND_STEP_K if u == x - j else 0.0
+    return j, u, (1.0 - u) * bends[j] + u * bends[j + 1], slope
+
+
+@compiled(inner=True)
+def bend_conductivity(stack, d_bends, co):
+    """Multiply the panel's conductivity by the free function of its temperature."""
+    w, dw = co.w, co.dw
+    for i in range(stack.dx.shape[0]):
+        if stack.wet[i]:
+            j, u, log, slope = _bend(stack.bends[0], w[STAR, i])
+            f, before = np.exp(log), w[COND, i]
+            w[COND, i] = f * before
+            for q in range(dw.shape[1]):
+                d_log = slope * dw[DSTAR, q, i] + (1.0 - u) * d_bends[q, j] + u * d_bends[q, j + 1]
+                dw[DCOND, q, i] = f * (dw[DCOND, q, i] + before * d_log)
+
+
+@compiled(inner=True)
+def _bend_contact(stack, tan, drive, at, co, h, dh):
+    """Multiply the closed share of a contact's coupling by the free function of the panel's face.
+
+    `at`: step and number of the contact; h (3) and dh (3, P) as in `_contact_values`. Paper is one cell.
+    """
+    step, m = at
+    face, n = -1, stack.dx.shape[0]
+    for cell in (stack.interface[m] + 1, stack.interface[m] - 2, stack.interface[m], stack.interface[m] - 1):
+        if 0 <= cell < n and stack.wet[cell]:
+            face = cell
+    if face < 0:
+        return
+    weight, value, factor = drive.weight[step, 2], stack.contact[m, 2, 0], drive.factor[step, m]
+    j, u, log, slope = _bend(stack.bends[1], co.w[STAR, face])
+    f, closed, d_bends = np.exp(log), weight * value * factor, tan.bends[1]
+    h[0] += closed * (f - 1.0)
+    for q in range(dh.shape[1]):
+        d_closed = drive.d_weight[step, 2, q] * value * factor + weight * tan.contact[m, 2, 0, q] * factor
+        d_closed += weight * value * drive.d_factor[step, m, q]
+        d_log = slope * co.dw[DSTAR, q, face] + (1.0 - u) * d_bends[q, j] + u * d_bends[q, j + 1]
+        dh[0, q] += d_closed * (f - 1.0) + closed * f * d_log
+
+
+@compiled(inner=True)
 def joints(dx, measured, co):
     """Conductance of the interfaces inside layers and of perfect joints, with tangents."""
     w, dw = co.w, co.dw
@@ -301,6 +356,8 @@ def contacts(stack, tan, drive, step, co):
     for m in range(stack.interface.shape[0]):
         j = stack.interface[m]
         _contact_values(stack.contact[m], tan.contact[m], drive, (step, m), h, dh)
+        if stack.bends.shape[1] > 0:
+            _bend_contact(stack, tan, drive, (step, m), co, h, dh)
         if j == 0 or j == n:
             _end(stack, tan, co, m, h, dh)
             continue
@@ -589,6 +646,8 @@ def coefficients(stack, tan, drive, step, state, co):
     capacity = Property(stack.c, stack.c_slope, stack.c_table, stack.table_x, stack.table_y, tan.c, tan.c_slope)
     properties(np.ones(stack.dx.shape[0]), conductivity, w[STAR], dw[DSTAR], w[COND], dw[DCOND])
     properties(stack.dx, capacity, w[STAR], dw[DSTAR], w[CAP], dw[DCAP])
+    if stack.bends.shape[1] > 0:
+        bend_conductivity(stack, tan.bends[0], co)
     joints(stack.dx, stack.measured, co)
     switched(stack, tan, drive, step, state, co)
 

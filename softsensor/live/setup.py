@@ -239,7 +239,7 @@ def _model(
         tangents=kernels.Tangents(
             t.k * by_row, t.k_slope * by_row, t.c * by_row, t.c_slope * by_row, t.exchange * by_row,
             t.contact * units, t.emissivity * units, t.convection * units, t.flux * units,
-            t.heat * by_row, t.law * units,
+            t.heat * by_row, t.law * units, t.bends * by_row,
         ),
         d_boundary=drive.d_boundary * units,
         nonlinear=build.nonlinear,

@@ -14,6 +14,7 @@ import numpy as np
 
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import make_campaign, press_toml
+from daq.simulated.physics_kernel import STEP_K
 from softsensor.diagnosis.laws.choice import free_law
 from softsensor.diagnosis.search import settle_base
 from softsensor.diagnosis.verdict import _screened
@@ -47,8 +48,21 @@ def levelled_off(truth, x):
     return (1.0 - np.exp(-x / share)) / (1.0 - np.exp(-1.0 / share))
 
 
+def stepped(effect):
+    """Return the factor by temperature of a law that steps, and that on a contact 1 at the hottest seen."""
+
+    def curve(truth, x):
+        p = truth.effects[effect]
+        factor = 1.0 - p["lost"] / (1.0 + np.exp(-(x - p["temperature_C"]) / STEP_K))
+        return factor / factor[-1] if effect == "contact_break" else factor
+
+    return curve
+
+
 CASES = {
     "nothing": (None, (), None),
+    "conductivity_step": ("conductivity_step", ("conductivity",), stepped("conductivity_step")),
+    "contact_break": ("contact_break", ("contact_by_temperature",), stepped("contact_break")),
     "contact_levelling": ("contact_levelling", ("contact_by_load",), levelled_off),
     "contact_lapse": ("contact_lapse", ("contact_upper",), lapsed),
     "contact_buildup": ("contact_buildup", ("contact",), grown),

@@ -17,6 +17,10 @@ kind               variable                     curve
 ``contact_by_load``  ``load_share``             factor on the closed panel's contacts by the pressure over its
                                                 reference, 1 there; told apart only by pressures that change within
                                                 a pressing, as each has contacts of its own
+``conductivity``     ``temperature_C``          factor on the panel's conductivity
+``contact_by_temperature``
+                   ``temperature_C``            factor on the closed panel's contacts by the temperature of the
+                                                face that each touches, 1 at the hottest seen
 ``heat``           ``temperature_C``            heat that goes for good as the panel warms up, negative where it
                                                 comes [kJ/m³K]
 ``heat_exchange``  ``depth_share``              heat lost to the room by height in the panel, 0 at its lower face;
@@ -25,9 +29,8 @@ kind               variable                     curve
 
 Runs left out decide: each, with the law from the others and its own contacts fitted, must be met better than
 without a law, with an interval above nothing; for each the kind is chosen by the other runs. Kinds that these do
-not tell from the best form a set. Laws that the effects' terms cannot carry (conductivity as a free function of
-temperature, contact by temperature) are not tried: what follows them stays unknown, or is told by the
-nearest kind.
+not tell from the best form a set. A source by time is not
+tried: what follows it stays unknown, or is told by the nearest kind.
 
 References
 ----------

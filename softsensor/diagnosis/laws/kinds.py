@@ -25,11 +25,14 @@ from softsensor.effects.free_law import (
     VALUE,
     Function,
     Smooth,
+    at_hottest,
     at_reference,
+    conductivity_terms,
     contact_knots,
     contact_terms,
     exchange_knots,
     exchange_terms,
+    face_terms,
     heat_knots,
     heat_terms,
     levelled,
@@ -90,6 +93,9 @@ def kinds(stage: SettledModel) -> Iterator[LawKind]:
     coldest = float(np.min([np.nanmin(d.y[:3]) for d in digests])) + COLDEST_K
     if hottest > coldest + COLDEST_K:
         yield heat_by_temperature(coldest, hottest)
+        yield conductivity_by_temperature(coldest, hottest)
+        if press.has_states and lasts:
+            yield contact_by_temperature(_coldest_closed(digests), hottest)
     yield exchange_by_depth()
 
 
@@ -113,6 +119,13 @@ def contact_by_time(last_s: float, side: str = "") -> LawKind:
     effect = _effect(kind, smooth, terms)
     x = EARLY_S * np.expm1(along)
     return LawKind(kind, "time_since_closing_s", "-", effect, x, weights, np.exp, kept)
+
+
+def _coldest_closed(digests: Sequence[Digest]) -> float:
+    """Return the coldest face once a press has closed: what it passes while that closes tells no contact. [°C]"""
+    shut = [(d.time > d.moments.closed_s + d.moments.ramp_s) & ~(d.time > d.moments.opened_s) for d in digests]
+    found = (np.nanmin(d.y[rows], initial=np.inf) for d, rows in zip(digests, shut, strict=True))
+    return float(min(found))
 
 
 def _closed_loads(digests: Sequence[Digest]) -> Array:
@@ -156,6 +169,40 @@ def heat_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
     effect = _effect(LawOf.HEAT, smooth, terms, nonlinear=True)
     weights = HEAT_SIZE * smooth.weights(x)
     return LawKind(LawOf.HEAT, "temperature_C", "kJ/m3K", effect, x, weights, np.asarray, kept)
+
+
+def conductivity_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
+    """Return the panel's conductivity as a free function of its temperature. [°C]"""
+    smooth = heat_knots(coldest_C, hottest_C)
+
+    def terms(_: Scene, values: Mapping[str, Any]) -> Terms:
+        return conductivity_terms(_function(smooth, values), smooth)
+
+    return _factor_by_temperature(LawOf.CONDUCTIVITY, smooth, terms, smooth.weights)
+
+
+def contact_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
+    """Return the closed contacts as a free function of the temperature of the panel's face. [°C]"""
+    smooth = heat_knots(coldest_C, hottest_C)
+
+    def terms(_: Scene, values: Mapping[str, Any]) -> Terms:
+        return face_terms(at_hottest(_function(smooth, values), smooth), smooth)
+
+    weights = at_hottest(smooth.weights, smooth)
+    return _factor_by_temperature(LawOf.CONTACT_BY_TEMPERATURE, smooth, terms, weights)
+
+
+def _factor_by_temperature(
+    kind: LawOf, smooth: Smooth, terms: Callable[[Scene, Mapping[str, Any]], Terms], weights: Function
+) -> LawKind:
+    ends = {COLDEST_C: float(smooth.knots[0]), HOTTEST_C: float(smooth.knots[-1])}
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return ends | _at_knots(smooth, numbers)
+
+    x = np.linspace(smooth.knots[0], smooth.knots[-1], POINTS)
+    effect = _effect(kind, smooth, terms, nonlinear=True)
+    return LawKind(kind, "temperature_C", "-", effect, x, weights(x), np.exp, kept)
 
 
 def exchange_by_depth() -> LawKind:
