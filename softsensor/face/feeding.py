@@ -43,6 +43,19 @@ class LiveSensor(ScanSensor):
     ------
     InputError
         For a header that cannot be, or what is wrong in a file.
+
+    Examples
+    --------
+    >>> import daq
+    >>> from daq.shared import shared_files
+    >>> from softsensor.face.inputs import read_run
+    >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
+    >>> table = daq.frame_of(read_run(run))
+    >>> live = LiveSensor(press, table.attrs)
+    >>> for time_s, row in table.loc[:60.0].iterrows():
+    ...     newest = live.update(time_s, row)
+    >>> str(newest.state), newest.core_low_C < newest.core_C < newest.core_high_C
+    ('closed', True)
     """
 
     def __init__(

@@ -87,6 +87,17 @@ def predict(
         For a run, press, model or resin file that cannot be read, words in a column that the press file names, a
         pattern that matches no column, a run without a platen's column or the panel's data, and a resin for a
         press without a panel.
+
+    Examples
+    --------
+    >>> from daq.shared import shared_files
+    >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
+    >>> found = predict(run, press).frame()
+    >>> len(found) == len(read_run(run).time_s)
+    True
+    >>> sure = found[found["valid"] == 1]
+    >>> bool((sure["core_low_C"] <= sure["core_C"]).all() and (sure["core_C"] <= sure["core_high_C"]).all())
+    True
     """
     described = read_press(press)
     loaded = legible(read_run(run), described)
