@@ -77,15 +77,15 @@ def test_the_answer_is_one_line_and_nothing_beside_it_contradicts_it(pressing, v
 
 BROKEN = """(place) => {
     const text = place.firstChild.textContent, range = document.createRange(), found = [];
-    for (const {index, 0: said} of text.matchAll(/\\d\\s(?:s|min|h|°C|K)(?![\\p{L}])/gu)) {
+    for (const {index, 0: said} of text.matchAll(/\\d\\s(?:s|min|h|°C|K)(?![\\p{L}])|\\([^()]*\\)/gu)) {
         range.setStart(place.firstChild, index);
         range.setEnd(place.firstChild, index + said.length);
-        const tops = [...range.getClientRects()].map((r) => Math.round(r.top));
+        const tops = [...range.getClientRects()].filter((r) => r.width > 0).map((r) => Math.round(r.top));
         found.push(Math.max(...tops) - Math.min(...tops));
     }
     return found;
 }"""
-"""How far apart number and unit stand, in every place of a line. [px]"""
+"""How far apart number and unit, and begin and end of a band, stand in every place of a line. [px]"""
 
 
 @pytest.mark.parametrize("language", ["en", "de"])

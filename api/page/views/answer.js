@@ -39,8 +39,9 @@ export function showAnswer(place, { state, estimate }, silent) {
   const line = silent !== null
     ? text("advice-not-known", { why: whySilent(silent) })
     : advice ? said(advice.sentence_said, advice.sentence) : text(empty ? "advice-no-panel" : "page-no-estimate");
+  const shown = line.replace(/\([^()]*\)/g, (band) => band.replaceAll(" ", "\u00a0")); // a band stands on one line
   place.className = `answer ${verdict}`;
-  if (place.textContent !== line) place.textContent = line;
+  if (place.textContent !== shown) place.textContent = shown;
 }
 
 // Why nothing is known of now, whatever the panel: recorder or live sensor are silent, clocks disagree.

@@ -1,7 +1,7 @@
 // What people know about a run: remark and header, changed with a token that may write, and the history of the changes.
 import { patch } from "../api.js";
 import { clock, el, table, written } from "../dom.js";
-import { text } from "../words.js";
+import { headerName, text } from "../words.js";
 
 export function metadataCard(run, path) {
   const card = el("section", { class: "card", "data-testid": "metadata" });
@@ -9,7 +9,7 @@ export function metadataCard(run, path) {
     const change = el("button", { type: "button", class: "button", onclick: edit }, text("page-change"));
     card.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-metadata")), change),
       table(text("page-metadata"), [{ text: text("page-name") }, { text: text("page-value"), class: "right" }],
-        Object.entries(run.header).map(([name, value]) => [name, el("span", { class: "num" }, shown(value))])),
+        Object.entries(run.header).map(([name, value]) => [called(name), el("span", { class: "num" }, shown(value))])),
       ...(run.changes.length ? [historyOf(run.changes)] : []));
     return change;
   };
@@ -17,6 +17,12 @@ export function metadataCard(run, path) {
   read();
   return card;
 }
+
+// A header key in words where it has some, with the key that files and searches know it by.
+const called = (key) => {
+  const words = headerName(key);
+  return words === key ? key : el("div", {}, words, el("div", { class: "faint small" }, key));
+};
 
 const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "number" ? written(value) : typeof value === "object" ? JSON.stringify(value) : String(value));
 
@@ -32,7 +38,7 @@ function editor(run, path, cancel, done) {
   const simple = Object.entries(run.header).filter(([name, value]) => name !== "run" && typeof value !== "object");
   const fields = simple.map(([name, value]) => ({ name, value, input: el("input", { type: "text", id: `header-${name}`, value: value === "" ? "" : shown(value) }) }));
   const added = [];
-  const grid = el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, f.name), f.input]).flat());
+  const grid = el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, called(f.name)), f.input]).flat());
   const another = () => { // an empty line waits below the last one
     const name = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("page-new-key") });
     const value = el("input", { type: "text", "aria-label": text("page-value") });

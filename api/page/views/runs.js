@@ -45,7 +45,7 @@ async function list(place, context) {
     el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")), el("div", { class: "row" }, el("a", { class: "button", href: "#/runs/day" }, text("page-day-view")), scatterLink, compareLink)),
     el("div", { class: "row", style: "margin-bottom:.8rem" },
       field("q", text("page-search"), el("input", { type: "search", size: 18 })),
-      field("where", text("page-search-bounds"), el("input", { type: "search", size: 26, placeholder: "core_at_opening_C>=95 panel.thickness_mm=16" })),
+      field("where", text("page-search-bounds"), el("input", { type: "search", size: 40, placeholder: "panel.thickness_mm=16 rmse_K<1" })),
       field("verdict", text("page-panel-became"), options(["good", "blister", "undercured", "scrap"], "page-panel-")),
       field("status", text("page-status"), options(["open", "closed", "interrupted"], "page-run-")),
       field("from", text("page-from"), el("input", { type: "date" })),
