@@ -55,11 +55,14 @@ def moments_seen(run: Run, press: Press) -> Moments:
         return seen
     closed, opened = switch_of(run, press) or (_NEVER, _NEVER)
     same = abs(seen.inserted_s - wired.inserted_s) < SAME_INSERTION_S and seen.inserted_s < wired.closed_s
+    opened_s = _between(seen.opened_s, opened, wired.opened_s)
+    removed_s = wired.removed_s if seen.removed_s < opened_s else seen.removed_s  # seen while the press eased off
     return replace(
         seen,
         closed_s=_between(seen.closed_s, closed, wired.closed_s),
-        opened_s=_between(seen.opened_s, opened, wired.opened_s),
+        opened_s=opened_s,
         inserted_s=seen.inserted_s if same else wired.inserted_s,
+        removed_s=max(removed_s, opened_s),
     )
 
 

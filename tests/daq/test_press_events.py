@@ -333,6 +333,19 @@ def test_a_switch_that_comes_late_or_is_lost_leaves_the_other_moment_to_the_temp
             assert found.opened_s == pytest.approx(m.opened_s, abs=0.12)
 
 
+def test_a_panel_that_cools_while_the_press_eases_off_is_not_gone_before_a_wire_tells_of_the_opening():
+    plan = Plan(
+        rate_hz=1.0, thickness_mm=8.0, press_time_s=(30.0, 30.0), open_before_s=(5.0, 8.0),
+        open_after_s=(15.0, 20.0), eased=(0.2, 0.5), closed_column=True,
+    )  # fmt: skip
+    press = parse_press(press_toml(loaded=True))
+    for run, truth in make_campaign(24_202, 2, {"contact_levelling": {"share": 0.5}}, plan):
+        found = moments_seen(run, press)
+        assert found.opened_s == pytest.approx(truth.moments.opened_s, abs=0.6)
+        assert not found.removed_s < found.opened_s
+        assert math.isnan(truth.moments.removed_s)
+
+
 @pytest.mark.parametrize("after_s", [0.3, 0.5, 0.7, 0.9])
 def test_a_switch_that_comes_back_while_a_closing_is_being_placed_tells_it_once(after_s):
     run, truth = one_run(closed_column=True, seed=7)
