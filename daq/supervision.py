@@ -45,6 +45,8 @@ class Steps:
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.done = 0
+        """How many ended well."""
         self._under_way: tuple[float, float] | None = None
         """When the step began and when it is due, None between steps. [s]"""
 
@@ -55,6 +57,7 @@ class Steps:
         self._under_way = now_s, now_s + (STALLED_S if longest_s is None else longest_s)
         try:
             yield
+            self.done += 1
         finally:
             self._under_way = None
 
@@ -72,12 +75,22 @@ def unexpected(error: BaseException) -> Message:
 
 
 class SupervisedThread:
-    """Does its work until it returns; an exception is told once and begins the work anew."""
+    """Does its work until it returns; an exception begins the work anew, and is told once until all is well again.
 
-    def __init__(self, name: str, work: Callable[[], None], journal: Callable[[Message], None]) -> None:
+    All is well when the work says so (`worked`), or a step of `steps` has ended well since.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        work: Callable[[], None],
+        journal: Callable[[Message], None],
+        steps: Steps | None = None,
+    ) -> None:
         self.fault: Message | None = None
         """Why the work last ended, until it has gone well again."""
         self._work, self._journal = work, journal
+        self._steps, self._done = steps, 0
         self._untold: list[Message] = []
         """Faults the journal did not take yet."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -106,6 +119,8 @@ class SupervisedThread:
         """Note an exception and tell it, once for each that differs from the one before."""
         fault = say("thread-failed", thread=self._thread.name, why=unexpected(error))
         known, self.fault = self.fault, fault
+        if self._steps is not None and self._steps.done > self._done:
+            known, self._done = None, self._steps.done
         if known != fault:
             LOG.error("%s", fault, exc_info=error)
             self._untold.append(fault)

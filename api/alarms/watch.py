@@ -76,12 +76,12 @@ class _Watch:
     def __init__(self, store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> None:
         self._store, self._ways, self._clock, self._began = store, ways, clock, clock()
         self._stop = threading.Event()
-        self._looking, self._sending = Steps("alarms"), Steps("deliveries")
+        looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
         self._told = False
         """Whether it is told what stands still now."""
         self._threads = [
-            SupervisedThread(self._looking.name, lambda: self._every(LOOK_S, self._look), self._tell),
-            SupervisedThread(self._sending.name, lambda: self._every(SEND_S, self._send), self._tell),
+            SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._tell, looking),
+            SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._tell, sending),
         ]
 
     def start(self) -> None:

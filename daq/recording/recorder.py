@@ -137,7 +137,7 @@ def record(
         pages = _watched_pages(store, journal, stop)
         thinning = Steps("thinning")
         thin = partial(_thin, store, config.store.keep_idle_days, stop, thinning)
-        SupervisedThread(thinning.name, thin, partial(journal, "alarm")).start()
+        SupervisedThread(thinning.name, thin, partial(journal, "alarm"), thinning).start()
         presses = tuple(settings.name for settings in config.press)
         journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
@@ -173,7 +173,7 @@ def _watched_pages(store: Store, journal: Journal, stop: threading.Event) -> Pag
     if (path := store.database.path) is None:
         return None
     pages = PageWatch(path, journal)
-    SupervisedThread("pages", partial(pages.work, stop), partial(journal, "alarm")).start()
+    SupervisedThread("pages", partial(pages.work, stop), partial(journal, "alarm"), pages.steps).start()
     return pages
 
 
@@ -257,14 +257,14 @@ class PageWatch:
     def __init__(self, path: Path, journal: Journal) -> None:
         self._path, self._journal = path, journal
         self._told = ""
-        self._steps = Steps("pages")
+        self.steps = Steps("pages")
 
     def work(self, stop: threading.Event) -> None:
         """Until stopped: read the file and tell."""
         pause_s = _PAGES_S
         while not stop.wait(pause_s):
             began = time.monotonic()
-            with self._steps.step(_READING_S + _size_of(self._path) / _READING_BYTES_PER_S):
+            with self.steps.step(_READING_S + _size_of(self._path) / _READING_BYTES_PER_S):
                 found = damage_of(self._path)
             pause_s = max(_PAGES_S, _REST * (time.monotonic() - began))
             if found and found != self._told:
@@ -273,7 +273,7 @@ class PageWatch:
 
     def stalled(self) -> Message | None:
         """Return that a reading does not come to its end; None while it does."""
-        return None if self._steps.stalled() is None else say("pages-stalled", store=str(self._path))
+        return None if self.steps.stalled() is None else say("pages-stalled", store=str(self._path))
 
 
 def _size_of(file: Path) -> int:

@@ -105,6 +105,31 @@ def test_alarms_not_looked_for_or_not_sent_are_an_alarm_and_starve_the_watchdog(
     assert [m.arguments["thread"] for m in told] == [thread]
 
 
+def test_a_fault_that_comes_back_after_all_went_well_is_an_alarm_again(stored, monkeypatch):
+    monkeypatch.setattr(watch, "LOOK_S", 0.01)
+    monkeypatch.setattr(daq.supervision, "RESTART_S", 0.01)
+    looked, broken, work = [], threading.Event(), Store.watch_alarms
+
+    def watched(*arguments):
+        looked.append(broken.is_set())
+        if broken.is_set():
+            raise KeyError("top_1")
+        return work(*arguments)
+
+    monkeypatch.setattr(Store, "watch_alarms", watched)
+
+    def told():
+        return sum(e.message.code == "thread-failed" for e in stored.journal(level="alarm").items)
+
+    with watching(stored, []):
+        for times in (1, 2):
+            broken.set()
+            wait_until(lambda: told() == times and len(looked) > 5 and all(looked[-3:]))  # noqa: B023
+            broken.clear()
+            wait_until(lambda: not any(looked[-3:]))
+    assert told() == 2
+
+
 FEEDS = [
     (Publisher, "_send_waiting", "mqtt", ""),
     (LeaveFeed, "_look", "leave", ""),
