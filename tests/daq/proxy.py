@@ -38,6 +38,9 @@ _MORE_S = 0.002
 """A reply is complete when nothing follows for so long: the device writes it in one go."""
 _SLICE_S = 0.016
 """USB adapters hand bytes over in slices of 16 ms."""
+_COPY_S = 0.01
+"""What comes twice comes no later than this after its time: half the silence that a driver without channels in its
+replies keeps between reply and query (profile sr630), which hears a copy by nothing else."""
 
 
 class Fault(StrEnum):
@@ -246,8 +249,9 @@ class FaultProxy:
         request, due_s = self._asked.popleft()
         if self._dead or time.monotonic() > due_s:  # the driver has given it up
             return
-        for delay_s, slices in self._spoiled(request, reply):
-            self._outbox.send(send, slices, delay_s, due_s)
+        for copy, (delay_s, slices) in enumerate(self._spoiled(request, reply)):
+            until_s = time.monotonic() + delay_s + _COPY_S if copy else math.inf
+            self._outbox.send(send, slices, delay_s, min(due_s, until_s))
 
     def _spoiled(self, request: bytes, reply: bytes) -> list[_Arrival]:
         """Return what arrives in place of a reply."""

@@ -309,6 +309,29 @@ def test_the_proxy_drops_what_a_busy_machine_kept_it_from_sending_in_time():
     assert answers == b"<2>"
 
 
+@pytest.mark.parametrize(("busy_s", "sent"), [(0.0, [b"1\r\n", b"1\r\n"]), (0.1, [b"1\r\n"])])
+def test_the_proxy_drops_what_comes_twice_where_a_busy_machine_sends_it_too_late(busy_s, sent, monkeypatch):
+    """Else it comes after the next question: a fault of the machine that no driver could tell."""
+    monkeypatch.setattr(proxy, "_COPY_S", 0.05)
+    got, both = [], threading.Event()
+    upstream = Server({"host": "127.0.0.1", "tcp_port": 1})
+
+    def send(part):
+        got.append(part)
+        time.sleep(busy_s)
+        if part == b"2\r\n":
+            both.set()
+
+    plans = iter([Fault.DUPLICATED, Fault.NONE])
+    options = {"seed": 1, "late_s": (0.0, 0.0)}
+    with FaultProxy(upstream, proxy.bare_text_spoiler(), lambda *_: next(plans), **options) as wire:
+        wire._asked.extend([(b"1?", math.inf), (b"2?", math.inf)])
+        wire._pass_on(b"1\r\n", send)
+        wire._pass_on(b"2\r\n", send)
+        assert both.wait(240.0)
+    assert got == [*sent, b"2\r\n"]
+
+
 def test_the_proxy_carries_every_reply_to_a_driver_that_asks_again_before_one():
     """What came twice lets it ask for the next too early; that a reply is lost too would be another fault."""
     listener = socket.create_server(("127.0.0.1", 0))
