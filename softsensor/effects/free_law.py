@@ -66,6 +66,8 @@ HEAT_UNIT = 1e3
 """From what a law of heat is told in. [J/m³K per kJ/m³K]"""
 STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
 LEAST_LOAD, MOST_LOAD = "least_load", "most_load"
+REFERENCE = 0.0
+"""Logarithm of the pressure as a share of its reference, there; a law by pressure is 0 at it, or nearest to it."""
 LEVEL = "level"
 """Logarithm of the factor on one contact at the longest time seen; 0 in files of versions that had none."""
 VALUE = "value"
@@ -104,8 +106,23 @@ class Smooth:
         steep = self.inverse @ values
         return lambda x: self._near(x) @ steep
 
+    @property
+    def last(self) -> Array:
+        """The last knot, as a place: the longest time seen, the hottest temperature."""
+        return self.knots[-1:]
+
+    def nearest(self, x: float) -> Array:
+        """Return the place between the knots that is nearest to `x`."""
+        return np.asarray(np.clip(np.array([x]), self.knots[0], self.knots[-1]))
+
     def _near(self, x: Any) -> Any:
         return np.exp(-0.5 * ((x[:, None] - self.knots[None, :]) / self.length) ** 2)
+
+
+def levelled(law: Function, at: Array, level: Any = 0.0) -> Function:
+    """Return a law whose value at one place is `level`, by adding a constant."""
+    shift = level - law(at)
+    return lambda x: law(x) + shift
 
 
 def contact_knots(last_s: float) -> Smooth:
@@ -131,12 +148,6 @@ def conductivity_terms(law: Function, smooth: Smooth) -> Terms:
 def face_terms(law: Function, smooth: Smooth) -> Terms:
     """Return closed contacts with the free function of the panel's face; beyond what was seen they stay."""
     return Terms(contact_bend=law(_within(smooth)))
-
-
-def at_hottest(law: Function, smooth: Smooth) -> Function:
-    """Return a law that is 0 at the hottest temperature seen."""
-    shift = law(smooth.knots[-1:])
-    return lambda x: law(x) - shift
 
 
 def _within(smooth: Smooth) -> Array:
@@ -166,12 +177,6 @@ def contact_terms(scene: Scene, law: Function, last_s: float, side: str = "") ->
     return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], factor))
 
 
-def levelled(law: Function, last_s: float, level: Any = 0.0) -> Function:
-    """Return a law of contact whose value at the longest time seen is `level`. [s]"""
-    shift = level - law(np.log1p(np.array([last_s]) / EARLY_S))
-    return lambda x: law(x) + shift
-
-
 def load_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
     """Return the factors of the panel's contacts whose pressure is known; beyond the pressures seen they stay."""
     low, high = np.exp(smooth.knots[[0, -1]])
@@ -182,13 +187,6 @@ def load_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
             if m in scene.load
         }
     )
-
-
-def at_reference(law: Function, smooth: Smooth) -> Function:
-    """Return a law of contact by pressure that is 0 at the reference, or at the pressure seen nearest to it."""
-    here = np.clip(np.zeros(1), smooth.knots[0], smooth.knots[-1])
-    shift = law(here)
-    return lambda x: law(x) - shift
 
 
 def heat_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
@@ -243,8 +241,8 @@ def _given(smooth: Smooth, values: Mapping[str, Any]) -> Function:
 def _contact(side: str) -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         last_s = float(np.real(values[LAST_S]))
-        level = values[STRENGTH] * values[LEVEL] if side else 0.0
-        law = levelled(_given(contact_knots(last_s), values), last_s, level)
+        level, smooth = values[STRENGTH] * values[LEVEL] if side else 0.0, contact_knots(last_s)
+        law = levelled(_given(smooth, values), smooth.last, level)
         return contact_terms(scene, law, last_s, side)
 
     ranges = {LAST_S: (60.0, "s")} | ({LEVEL: (0.0, "-")} if side else {})
@@ -257,7 +255,7 @@ def _contact(side: str) -> LawEffect:
 def _by_load() -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         smooth = load_knots(float(np.real(values[LEAST_LOAD])), float(np.real(values[MOST_LOAD])))
-        return load_terms(scene, at_reference(_given(smooth, values), smooth), smooth)
+        return load_terms(scene, levelled(_given(smooth, values), smooth.nearest(REFERENCE)), smooth)
 
     ends = {LEAST_LOAD: (0.5, "-"), MOST_LOAD: (1.0, "-")}
     parameters = tuple(_parameters(KNOTS[LawOf.CONTACT_BY_LOAD], "-", ends))
@@ -284,7 +282,7 @@ def _by_temperature(kind: LawOf) -> LawEffect:
         law = _given(smooth, values)
         if kind is LawOf.CONDUCTIVITY:
             return conductivity_terms(law, smooth)
-        return face_terms(at_hottest(law, smooth), smooth)
+        return face_terms(levelled(law, smooth.last), smooth)
 
     parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "-", _ENDS))
     live = Live(Role.OWN_FILTER)

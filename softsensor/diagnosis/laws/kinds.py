@@ -20,13 +20,12 @@ from softsensor.effects.free_law import (
     LEAST_LOAD,
     LEVEL,
     MOST_LOAD,
+    REFERENCE,
     SIDES,
     SOURCE,
     VALUE,
     Function,
     Smooth,
-    at_hottest,
-    at_reference,
     conductivity_terms,
     contact_knots,
     contact_terms,
@@ -105,9 +104,9 @@ def contact_by_time(last_s: float, side: str = "") -> LawKind:
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         law = _function(smooth, values)
-        return contact_terms(scene, law if side else levelled(law, last_s), last_s, side)
+        return contact_terms(scene, law if side else levelled(law, smooth.last), last_s, side)
 
-    end = smooth.weights(smooth.knots[-1:])
+    end = smooth.weights(smooth.last)
     along = np.linspace(0.0, smooth.knots[-1], POINTS)
     weights = smooth.weights(along) - (0.0 if side else end)
     kind = LawOf(f"{LawOf.CONTACT}_{side}") if side else LawOf.CONTACT
@@ -144,13 +143,13 @@ def contact_by_load(least: float, most: float) -> LawKind:
     smooth = load_knots(least, most)
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        return load_terms(scene, at_reference(_function(smooth, values), smooth), smooth)
+        return load_terms(scene, levelled(_function(smooth, values), smooth.nearest(REFERENCE)), smooth)
 
     def kept(numbers: Array) -> dict[str, float]:
         return {LEAST_LOAD: least, MOST_LOAD: most, **_at_knots(smooth, numbers)}
 
     along = np.linspace(smooth.knots[0], smooth.knots[-1], POINTS)
-    weights = at_reference(smooth.weights, smooth)(along)
+    weights = levelled(smooth.weights, smooth.nearest(REFERENCE))(along)
     effect = _effect(LawOf.CONTACT_BY_LOAD, smooth, terms)
     return LawKind(LawOf.CONTACT_BY_LOAD, "load_share", "-", effect, np.exp(along), weights, np.exp, kept)
 
@@ -186,9 +185,9 @@ def contact_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
     smooth = heat_knots(coldest_C, hottest_C)
 
     def terms(_: Scene, values: Mapping[str, Any]) -> Terms:
-        return face_terms(at_hottest(_function(smooth, values), smooth), smooth)
+        return face_terms(levelled(_function(smooth, values), smooth.last), smooth)
 
-    weights = at_hottest(smooth.weights, smooth)
+    weights = levelled(smooth.weights, smooth.last)
     return _factor_by_temperature(LawOf.CONTACT_BY_TEMPERATURE, smooth, terms, weights)
 
 
