@@ -44,12 +44,12 @@ def look(store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.in
 
 def send_due(store: Store, ways: Sequence[Way], clock: Callable[[], datetime], steps: Steps | None = None) -> int:
     """Send what is due, one after the other, each in a step; return how many were taken."""
-    named = {way.name: way for way in ways}
-    sent, left, steps = 0, bool(named), steps or Steps("deliveries")
-    while left:
+    named, steps = {way.name: way for way in ways}, steps or Steps("deliveries")
+    sent, taken = 0, False if named else None
+    while taken is not None:
         with steps.step(IN_HAND_S + STALLED_S):
             taken = _send_next(store, named, clock)
-        left, sent = taken is not None, sent + (taken is True)
+        sent += taken is True
     return sent
 
 

@@ -81,13 +81,13 @@ class LeaveFeed:
         self._lines: dict[str, threading.Thread] = {}
         self._problems: dict[str, Message] = {}
         self._failed: list[BaseException] = []
-        self.steps = Steps("leave")
+        self._looking = Steps("leave")
         self._steps: dict[str, Steps] = {}
         """By press, of its line."""
 
     def stalled(self) -> Message | None:
         """Return what stands still of reading the store and the lines of all presses."""
-        steps = (self.steps, *self._steps.copy().values())
+        steps = (self._looking, *self._steps.copy().values())
         return next((why for one in steps if (why := one.stalled())), None)
 
     @property
@@ -100,7 +100,7 @@ class LeaveFeed:
         ending = threading.Event()
         try:
             while not stop.is_set() and not self._failed:
-                with self.steps.step():
+                with self._looking.step():
                     self._look(ending)
                 stop.wait(LOOK_S)
         finally:

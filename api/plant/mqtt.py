@@ -179,7 +179,7 @@ class Publisher:
     def __init__(self, store: Store, settings: MqttSettings, known: Mapping[Place, int]) -> None:
         self.problem: Message | None = None
         self.sent = 0
-        self.steps = Steps("mqtt")
+        self._steps = Steps("mqtt")
         self._store, self._settings = store, settings
         self._following = Following(store)
         self._following.start(known)
@@ -194,7 +194,7 @@ class Publisher:
 
     def stalled(self) -> Message | None:
         """Return that it stands still; None while it works or waits."""
-        return self.steps.stalled()
+        return self._steps.stalled()
 
     def run(self, stop: threading.Event) -> None:
         """Connect, send, connect again, until stopped. Raises what the store raises."""
@@ -202,11 +202,11 @@ class Publisher:
         while not stop.is_set():
             broker = Broker(self._settings)
             try:
-                with self.steps.step():
+                with self._steps.step():
                     self._connect(broker)
                 pause_s = 0.2
                 while not stop.is_set():
-                    with self.steps.step():
+                    with self._steps.step():
                         sent = self._send_waiting(broker)
                     if not sent:
                         stop.wait(POLL_S)

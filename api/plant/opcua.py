@@ -140,13 +140,13 @@ class PressServer:
     ) -> None:
         self.problem: Message | None = None
         self.address = ""
-        self.steps = Steps("opcua")
+        self._steps = Steps("opcua")
         self._store, self._settings, self._tokens, self._clock = store, settings, tokens, clock
         self._presses: dict[str, _Press] = {}
 
     def stalled(self) -> Message | None:
         """Return that it stands still; None while it works or waits."""
-        return self.steps.stalled()
+        return self._steps.stalled()
 
     async def run(self, stop: threading.Event, started: threading.Event | None = None) -> None:
         """Serve until stopped. Raises `InputError` where the port is taken."""
@@ -165,13 +165,13 @@ class PressServer:
             raise InputError(said) from error
         try:
             self.address = _address(server, self._settings)
-            with self.steps.step():
+            with self._steps.step():
                 await self._refresh(server, root, index)
             if started is not None:
                 started.set()
             while not stop.is_set():
                 await asyncio.sleep(PERIOD_S)
-                with self.steps.step():
+                with self._steps.step():
                     await self._refresh(server, root, index)
         finally:
             await server.stop()

@@ -67,7 +67,7 @@ class _Feeds:
         notifier = Notifier()
         notifier.ready("feeding the plant's systems")
         while not self._stop.wait(BEAT_S):
-            stalled = self._stalled()
+            stalled = [why for feed in self._feeds if (why := feed.stalled())]
             status = self._beat("running", stalled)
             (notifier.status if stalled else notifier.alive)(status)
         notifier.stopping()
@@ -116,15 +116,14 @@ class _Feeds:
         self._opcua = PressServer(self._store, self._config.opcua, self._tokens)
         asyncio.run(self._opcua.run(self._stop))
 
-    def _stalled(self) -> list[Message]:
-        """Return which feeds stand still."""
-        feeds = [feed for feed in (self._mqtt, self._leave, self._opcua) if feed is not None]
-        return [why for feed in feeds if (why := feed.stalled())]
+    @property
+    def _feeds(self) -> list[Any]:
+        """Those that have begun."""
+        return [feed for feed in (self._mqtt, self._leave, self._opcua) if feed is not None]
 
     def _beat(self, state: str, stalled: Sequence[Message] = ()) -> str:
         """Write a sign of life; return what it says."""
-        feeds = [feed for feed in (self._mqtt, self._leave, self._opcua) if feed is not None]
-        problems = [*stalled, *(feed.problem for feed in feeds if feed.problem)]
+        problems = [*stalled, *(feed.problem for feed in self._feeds if feed.problem)]
         position = self._mqtt.position if self._mqtt is not None else self._known
         status: dict[str, Any] = {
             "state": state,
