@@ -84,9 +84,6 @@ export function numberName(key) {
   return has(code) ? text(code) : key;
 }
 
-// What a key of a run's header is called; one without words stands for itself.
-export const headerName = (key) => (key === "panel.material" ? text("page-material") : numberName(key));
-
 // A message about header keys, for whom they are fields of a form: it names each as `names` or a run's numbers do.
 export function saidOfFields(message, english, names) {
   const code = AS_FIELD[message?.code] ?? message?.code;

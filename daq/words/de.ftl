@@ -2207,6 +2207,7 @@ page-number-panel-conductivity_W_mK = Wärmeleitfähigkeit der Platte [W/mK]
 page-number-panel-density_kg_m3 = Dichte der Platte [kg/m³]
 page-number-panel-heat_capacity_J_kgK = Wärmekapazität der Platte [J/kgK]
 page-number-panel-initial_temperature_C = Starttemperatur [°C]
+page-number-panel-material = Material
 page-number-panel-moisture_percent = Feuchte [%]
 page-number-panel-thickness_mm = Dicke [mm]
 page-number-press_time_s = Gepresst [s]

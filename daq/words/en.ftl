@@ -2194,6 +2194,7 @@ page-number-panel-conductivity_W_mK = Conductivity of the panel [W/mK]
 page-number-panel-density_kg_m3 = Density of the panel [kg/m³]
 page-number-panel-heat_capacity_J_kgK = Heat capacity of the panel [J/kgK]
 page-number-panel-initial_temperature_C = Start temperature [°C]
+page-number-panel-material = Material
 page-number-panel-moisture_percent = Moisture [%]
 page-number-panel-thickness_mm = Thickness [mm]
 page-number-press_time_s = Pressed [s]

@@ -1,7 +1,7 @@
 // What people know about a run: remark and header, changed with a token that may write, and the history of the changes.
 import { patch } from "../api.js";
 import { clock, el, table, written } from "../dom.js";
-import { headerName, text } from "../words.js";
+import { numberName, text } from "../words.js";
 
 export function metadataCard(run, path) {
   const card = el("section", { class: "card", "data-testid": "metadata" });
@@ -20,7 +20,7 @@ export function metadataCard(run, path) {
 
 // A header key in words where it has some, with the key that files and searches know it by.
 const called = (key) => {
-  const words = headerName(key);
+  const words = numberName(key);
   return words === key ? key : el("div", {}, words, el("div", { class: "faint small" }, key));
 };
 
