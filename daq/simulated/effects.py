@@ -69,6 +69,8 @@ UNLISTED: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType(
 ``conductivity_step``: the panel's conductivity loses a share above a temperature.
 """
 
+_DRAWN = {**SIZES, **UNLISTED}
+
 CHAIN_EFFECTS = ("clock_offset", "platen_offset", "sensor_fault")
 """Put in by the measuring chain, not by the physics."""
 
@@ -92,9 +94,9 @@ def draw_effect(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict
     Offsets of conductivity and heat capacity lie above or below nominal with equal chance, platen
     offsets take either sign on each side, sensor faults are drawn later, run by run.
     """
-    if name not in SIZES and name not in UNLISTED:
-        raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *UNLISTED, *OUTSIDE)))
-    drawn = {key: float(rng.uniform(*limits)) for key, limits in {**SIZES, **UNLISTED}[name].items()}
+    if name not in _DRAWN:
+        raise InputError(say("simulated-no-effect", name=name, known=(*_DRAWN, *OUTSIDE)))
+    drawn = {key: float(rng.uniform(*limits)) for key, limits in _DRAWN[name].items()}
     if name in UNLISTED:
         return drawn
     if name.endswith("_offset") and "ratio" in drawn:
@@ -193,6 +195,6 @@ def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressi
 def split_names(names: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return catalogue names and outside names of a list; raise InputError for any other."""
     for name in names:
-        if name not in SIZES and name not in UNLISTED and name not in OUTSIDE:
-            raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *UNLISTED, *OUTSIDE)))
+        if name not in _DRAWN and name not in OUTSIDE:
+            raise InputError(say("simulated-no-effect", name=name, known=(*_DRAWN, *OUTSIDE)))
     return [n for n in names if n not in OUTSIDE], [n for n in names if n in OUTSIDE]

@@ -352,7 +352,7 @@ def _table(
     results: Mapping[tuple[Solver, Slopes], Sequence[_Outcome]],
     truths: Sequence[Mapping[str, float]],
     names: Sequence[str],
-    judged: Sequence[str] = EVERY_RUN_SHOWS,
+    judged: Sequence[str],
 ) -> tuple[Combination, ...]:
     best = [min(outcomes[r].cost for outcomes in results.values()) for r in range(len(truths))]
     index = [names.index(n) for n in judged if n in names]
