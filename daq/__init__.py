@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from daq.files.frames import frame_of as frame_of
     from daq.files.frames import qualities_of as qualities_of
     from daq.files.frames import run_of as run_of
+    from daq.given import speak as speak
     from daq.press.press_file import Press as Press
     from daq.records import EventSource as EventSource
     from daq.records import InputError as InputError
@@ -50,6 +51,7 @@ __all__ = [
     "qualities_of",
     "run_of",
     "shared_files",
+    "speak",
 ]
 _HOMES = {
     "EventSource": "daq.records",
@@ -65,6 +67,7 @@ _HOMES = {
     "qualities_of": "daq.files.frames",
     "run_of": "daq.files.frames",
     "shared_files": "daq.shared",
+    "speak": "daq.given",
 }
 
 

@@ -13,6 +13,8 @@ _HIDDEN = "***"
 _USER = re.compile(r"(\w:/+[^:@\n]*):[^\n]*@")
 """A user and what follows up to the line's last ``@``: a password may hold any sign, an ``@`` too."""
 _PASSWORD = re.compile(r"(?i)((?:passw(?:or)?d|passphrase|pwd)[\"']?\s*=\s*)[^\n]+")
+_BARE = re.compile(r"([^\s:@/=]+):\S*@(\S+)")
+"""An address without its scheme, and nothing else."""
 _BEHIND = re.compile(r"(?i)password=([^&;]+)")
 _OF_AN_ADDRESS = re.compile(r"(?i)@|:$|\b(passw(or)?d|user|host(addr)?|dbname|service)\s*=")
 """What a part of a path holds where it was meant to be a server's address."""
@@ -93,6 +95,18 @@ def masked(text: str) -> str:
     '# url = "postgresql://eva:***@db/x"'
     """
     return _PASSWORD.sub(r"\1***", _USER.sub(r"\1:***@", text))
+
+
+def without_secrets(said: str) -> str:
+    """Return what somebody typed, or a library says, without what looks like a password in it.
+
+    >>> without_secrets("postgresql://eva:secret@db: not found"), without_secrets("eva:secret@db/x")
+    ('postgresql://eva:***@db: not found', 'eva:***@db/x')
+    """
+    if "@" not in said and "=" not in said:
+        return said
+    bare = _BARE.fullmatch(said)
+    return masked(said) if bare is None else f"{bare[1]}:{_HIDDEN}@{bare[2]}"
 
 
 def secrets_of(address: Address) -> set[str]:

@@ -6,10 +6,11 @@ Nothing but `play` writes.
 from __future__ import annotations
 
 import math
+import threading
 import time
 import types
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -19,14 +20,16 @@ import pandas as pd
 from daq.files.frames import frame_of, run_of
 from daq.files.instants import STARTED
 from daq.files.run_file import read_run
-from daq.given import path_of
+from daq.given import number_of, path_of, refused
 from daq.press.detector import PressEventDetector
 from daq.press.events import find_moments as find_run_moments
 from daq.press.press_file import Press, read_press
-from daq.records import Channel, Moments, Quality, Run, Scan
+from daq.printed import in_short
+from daq.records import Channel, InputError, Moments, Quality, Run, Scan
 from daq.store.records import NewRun, RunEnd, every
 from daq.store.store import Store
 from daq.store.store import open_store as open_database
+from daq.words import say
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -45,14 +48,19 @@ EVENT = ("event", "noticed_s", "source")
 
 @dataclass(frozen=True)
 class StoreTables:
-    """An open store. Close it, or use it in a ``with`` statement."""
+    """An open store. Close it, or use it in a ``with`` statement; closed, it is refused (`InputError`)."""
 
     store: Store
     """What the tables are read from."""
+    _closed: threading.Event = field(default_factory=threading.Event, init=False, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        """Return which store it is."""
+        return f"StoreTables {self.store.label}"
 
     def runs(self, press: str | None = None) -> pd.DataFrame:
         """Return one row a run, newest first, with the keys of its header."""
-        found = every(lambda cursor: self.store.runs(press=press, cursor=cursor, limit=HISTORY_ROWS))
+        found = every(lambda cursor: self._opened().runs(press=press, cursor=cursor, limit=HISTORY_ROWS))
         rows = [
             {"run": r.run, "press": r.press, "status": str(r.status), "started_utc": r.started_utc}
             | {"closed_s": r.moments.closed_s, "opened_s": r.moments.opened_s, "remark": r.remark}
@@ -66,7 +74,7 @@ class StoreTables:
 
         The header is that of an exported file: it also knows when the run began, and what the store knows of it.
         """
-        return frame_of(self.store.run_for_file(run), utc=utc)
+        return frame_of(self._opened().run_for_file(run), utc=utc)
 
     def estimates(self, run: str) -> pd.DataFrame:
         """Return what the live sensor said of a run, indexed by ``time_s``."""
@@ -74,13 +82,13 @@ class StoreTables:
             {"time_s": time_s, "state": str(e.state), "core_C": e.core_celsius, "core_sd_K": e.core_sd_kelvin}
             | {"core_low_C": e.core_low_celsius, "core_high_C": e.core_high_celsius}
             | {"valid": e.valid, "reason": e.reason, "model_version": e.model_version}
-            for time_s, e in self.store.estimates(run)
+            for time_s, e in self._opened().estimates(run)
         ]
         return _table(rows, "time_s", ESTIMATE)
 
     def coefficients(self, press: str | None = None) -> pd.DataFrame:
         """Return one row a run and coefficient of its newest fit: value, sd, 95 % interval. [W/m²K]"""
-        found = every(lambda at: self.store.coefficient_history(press=press, cursor=at, limit=HISTORY_ROWS))
+        found = every(lambda at: self._opened().coefficient_history(press=press, cursor=at, limit=HISTORY_ROWS))
         rows = [
             {"run": c.run, "started_utc": c.started_utc, "coefficient": c.name, "value": c.value, "sd": c.sd}
             | {"low": c.low, "high": c.high, "identifiable": c.identifiable, "model_version": c.model_version}
@@ -90,7 +98,7 @@ class StoreTables:
 
     def events(self, press: str | None = None) -> pd.DataFrame:
         """Return the journal, newest first: what was lost, changed, promoted, alarmed."""
-        found = every(lambda cursor: self.store.journal(press=press, cursor=cursor, limit=HISTORY_ROWS))
+        found = every(lambda cursor: self._opened().journal(press=press, cursor=cursor, limit=HISTORY_ROWS))
         rows = [
             {"utc": e.utc, "level": e.level, "process": e.process, "press": e.press}
             | {"code": e.message.code, "message": str(e.message)}
@@ -100,7 +108,14 @@ class StoreTables:
 
     def close(self) -> None:
         """Let go of the database. A second call does no harm."""
+        self._closed.set()
         self.store.close()
+
+    def _opened(self) -> Store:
+        """Return the store. Raises `InputError` once it is closed."""
+        if self._closed.is_set():
+            raise InputError(say("store-is-closed", store=self.store.label))
+        return self.store
 
     def __enter__(self) -> StoreTables:
         """Enter a ``with`` statement."""
@@ -133,7 +148,7 @@ def open_store(url: str | Path) -> StoreTables:
     ...         store.runs()["status"].to_dict(), store.samples("2026-03-04-07")["platen_top"].size
     ({'2026-03-04-07': 'closed'}, 127)
     """
-    return StoreTables(open_database(str(url), create=False))
+    return StoreTables(open_database(_address(url), create=False))
 
 
 def play(run: AnyRun, store: Path | str, press: str, *, scans: int = 1, pause_s: float = 0.0) -> None:
@@ -151,15 +166,24 @@ def play(run: AnyRun, store: Path | str, press: str, *, scans: int = 1, pause_s:
     Raises
     ------
     InputError
-        For a wrong address, or a run whose name the store has already.
+        For a wrong address or name of a press, a run whose name the store has already, and less than one scan at
+        once or a pause below nothing.
     StoreUnavailable
         Where the disk or the server refuses now.
     """
+    if not isinstance(press, str) or not press:
+        raise refused(press, "given-no-press-name")
+    if isinstance(scans, bool) or not isinstance(scans, int) or scans < 1:
+        raise InputError(say("play-scans", value=in_short(scans)))
+    if not 0.0 <= number_of(pause_s) < math.inf:
+        raise InputError(say("play-pause", value=in_short(pause_s)))
     played = _run(run)
     columns = {name: values.tolist() for name, values in played.columns.items()}
     started = played.header.get(STARTED)
     began = started if isinstance(started, datetime) and started.tzinfo else datetime.now(UTC)
-    with open_database(str(store)) as opened:
+    with open_database(_address(store)) as opened:
+        if opened.run_records([played.name]):
+            raise InputError(say("store-run-taken", file=played.source or played.name, run=played.name))
         key = opened.register_press(press, [Channel(name) for name in columns])
         rows = [
             _scan(key.next_number + i, began, time_s, [values[i] for values in columns.values()])
@@ -208,7 +232,7 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     """
     run = _run(table)
     detector = PressEventDetector(_press(press))
-    seen = {name: values.tolist() for name, values in run.columns.items()}
+    seen = {name: run.columns[name].tolist() for name in detector.looks_at(tuple(run.columns))}
     found = []
     for i, time_s in enumerate(run.time_s.tolist()):
         found += detector.update(time_s, {name: values[i] for name, values in seen.items()})
@@ -226,6 +250,12 @@ def _run(given: AnyRun) -> Run:
     if isinstance(given, pd.DataFrame):
         return run_of(given)
     return given if isinstance(given, Run) else read_run(path_of(given, "given-no-run"))
+
+
+def _address(given: object) -> str:
+    if isinstance(given, str | Path):
+        return str(given)
+    raise refused(given, "given-no-store")
 
 
 def _press(given: Press | Path | str) -> Press:

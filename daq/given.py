@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from daq.records import InputError
 from daq.words import say
+from daq.words.message import choose, languages
 
 
 def refused(given: object, asked: str) -> InputError:
@@ -20,6 +23,29 @@ def refused(given: object, asked: str) -> InputError:
     kind = type(given)
     package = kind.__module__.partition(".")[0]
     return InputError(say(asked, found=kind.__name__ if package == "builtins" else f"{package}.{kind.__name__}"))
+
+
+def speak(language: str) -> None:
+    """Choose the language of all that is read in this process: printed results, notebook views, figures, refusals.
+
+    It is English until then. Names of columns, codes, and what ``to_json`` returns are the same in every language.
+
+    Raises
+    ------
+    InputError
+        For a language that there are no words in.
+
+    Examples
+    --------
+    >>> import daq
+    >>> daq.speak("de")
+    >>> print(refused(5, "given-no-press"))
+    int: eine Presse wird mit dem Pfad einer Pressendatei angegeben oder als das, was read_press gab
+    >>> daq.speak("en")
+    """
+    if language not in languages():
+        raise InputError(say("given-no-language", language=str(language), languages=languages()))
+    choose(language)
 
 
 def path_of(given: object, asked: str) -> Path:
@@ -38,6 +64,23 @@ def keys_of(given: object, asked: str) -> Mapping[str, Any]:
     if odd := [repr(key) for key in given if not isinstance(key, str)]:
         raise InputError(say("given-key-no-text", key=odd[0]))
     return given
+
+
+def number_of(given: object) -> float:
+    """Return a number that was given; NaN, which lies within no limits, for anything else.
+
+    >>> number_of(5), number_of("5"), number_of(True)
+    (5.0, nan, nan)
+    """
+    return float(given) if isinstance(given, Real) and not isinstance(given, bool) else math.nan
+
+
+def pair_of(given: object, asked: str) -> tuple[float, float]:
+    """Return two numbers, such as a range. Raises `InputError` for anything else."""
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        raise refused(given, asked)
+    low, high = map(number_of, given)
+    return low, high
 
 
 def names_of(given: object) -> list[str]:

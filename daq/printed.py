@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from enum import Enum
 from typing import Any
 
 LINE, LINES = 120, 20
@@ -21,15 +23,49 @@ def on_screen(record: Any) -> str:
     ... class Curve:
     ...     name: str
     ...     core: np.ndarray
+    ...     sd: np.ndarray
     ...     __repr__ = on_screen
-    >>> Curve("a", np.linspace(20.0, 80.0, 400))
+    >>> Curve("a", np.linspace(20.0, 80.0, 400), np.array(0.25))
     Curve
     name = 'a'
     core = array (400,) from 20 to 80
+    sd = 0.25
     """
     names = [one.name for one in fields(record)] if is_dataclass(record) else record._fields
-    told = [f"{name} = {in_short(getattr(record, name))}" for name in names]
+    told = [f"{name} = {_field(getattr(record, name))}" for name in names]
     return "\n".join([type(record).__name__, *lines_of(told)])
+
+
+def _field(value: Any) -> str:
+    """Return a field's value on one line; of a record what its own fields are, which `lines_of` cuts."""
+    if vars(type(value)).get("__repr__") is not on_screen:
+        return in_short(value)
+    head, *lines = repr(value).splitlines()
+    return f"{head}({', '.join(lines)})"
+
+
+def in_notebook(record: Any) -> str:
+    """Return what a record prints as a notebook shows it: its name, then a table of what it holds.
+
+    Stands in a class as ``_repr_html_ = in_notebook``.
+
+    >>> in_notebook(3.5)
+    '<p><b>3.5</b></p>'
+    """
+    return html_of(repr(record))
+
+
+def html_of(printed: str) -> str:
+    """Return what a record prints as a notebook shows it."""
+    head, *lines = map(html.escape, printed.splitlines())
+    rows = "".join(_html_row(line) for line in lines)
+    return f"<p><b>{head}</b></p>" + (f"<table><tbody>{rows}</tbody></table>" if rows else "")
+
+
+def _html_row(line: str) -> str:
+    """Return a printed line as a row: what it is called, and its value where it has one."""
+    name, sign, value = line.partition(" = ")
+    return f"<tr><th>{name}</th><td>{value}</td></tr>" if sign else f'<tr><td colspan="2">{line}</td></tr>'
 
 
 def lines_of(lines: Sequence[str]) -> list[str]:
@@ -48,7 +84,25 @@ def in_short(value: Any) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str | bytes) and not hasattr(value, "_fields"):
         few = ", ".join(in_short(one) for one in value[:LINES])
         return f"({few})" if len(few) <= LINE and len(value) <= LINES else f"{len(value)} {_kinds(value)}"
+    if isinstance(value, Enum):
+        return str(value.value)
+    if hasattr(value, "dtype"):
+        value = value.item()
     return f"{value:.6g}" if isinstance(value, float) else repr(value).partition("\n")[0]
+
+
+_WRITTEN = (bool, dict, float, int, list, str, tuple, type(None))
+"""Kinds of values that people write in a file."""
+
+
+def quoted(value: Any) -> str:
+    """Return a value that a refusal quotes: as it was written, and in short what nobody writes.
+
+    >>> import numpy as np
+    >>> quoted(-16.0), quoted("16,0"), quoted(np.array([16.0, 17.0]))
+    ('-16.0', "'16,0'", 'array (2,) from 16 to 17')
+    """
+    return repr(value) if type(value) in _WRITTEN else in_short(value)
 
 
 def _array(values: Any) -> str:

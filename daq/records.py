@@ -11,7 +11,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
-from daq.printed import LINE, in_short, lines_of
+from daq.printed import LINE, in_notebook, in_short, lines_of
 from daq.words import Message, say
 
 if TYPE_CHECKING:
@@ -290,15 +290,18 @@ class Run:
 
     def __repr__(self) -> str:
         """Return on one screen which run it is: scans, columns, header."""
-        span = f", {self.time_s[0]:g} to {self.time_s[-1]:g} s" if len(self.time_s) else ""
+        seconds = (f"{self.time_s[0]:g}", f"{self.time_s[-1]:g}") if len(self.time_s) else ("–", "–")
+        head = say("printed-run", run=self.name, scans=len(self.time_s), first=seconds[0], last=seconds[1])
         columns = textwrap.shorten(", ".join((*self.columns, *self.texts)), 300, placeholder=" ...")
         keys = [f"{key} = {value}" for key, value in self.header.items()][:KEYS_SHOWN]
         shown = [textwrap.shorten(key, 100, placeholder=" ...") for key in keys]
-        more = [f"... and {len(self.header) - len(shown)} more"] if len(self.header) > len(shown) else []
-        return "\n".join([f"Run {self.name}: {len(self.time_s)} scans{span}", columns, *shown, *more])
+        left = len(self.header) - len(shown)
+        return "\n".join([str(head), columns, *shown, *([str(say("printed-more", count=left))] if left else [])])
 
-    def at_rows(self, rows: NDArray[np.integer] | slice) -> Run:
-        """Return the run with these rows alone: their indices, or a slice of them."""
+    _repr_html_ = in_notebook
+
+    def at_rows(self, rows: NDArray[np.integer | np.bool_] | slice) -> Run:
+        """Return the run with these rows alone: their indices, whether each is one, or a slice of them."""
         import numpy as np
 
         kept = np.arange(len(self.time_s))[rows]

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Generic, TypeVar
 
 from daq.words import Message, say, spoken
 
@@ -74,6 +75,27 @@ def unexpected(error: BaseException) -> Message:
     return say("unexpected-error", kind=type(error).__name__, error=spoken(error))
 
 
+T = TypeVar("T")
+
+
+class Untold(Generic[T]):
+    """What is to be journalled: kept until the journal has taken it."""
+
+    def __init__(self, journal: Callable[[T], object]) -> None:
+        self._journal = journal
+        self._waiting: list[T] = []
+
+    def add(self, said: T) -> None:
+        """Take something to be told."""
+        self._waiting.append(said)
+
+    def tell(self) -> None:
+        """Journal what waits, the oldest first; raises what the journal raises."""
+        while self._waiting:
+            self._journal(self._waiting[0])
+            del self._waiting[0]
+
+
 class SupervisedThread:
     """Does its work until it returns; an exception begins the work anew, and is told once until all is well again.
 
@@ -89,10 +111,8 @@ class SupervisedThread:
     ) -> None:
         self.fault: Message | None = None
         """Why the work last ended, until it has gone well again."""
-        self._work, self._journal = work, journal
+        self._work, self._untold = work, Untold(journal)
         self._steps, self._done = steps, 0
-        self._untold: list[Message] = []
-        """Faults the journal did not take yet."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._ending = threading.Event()
 
@@ -123,15 +143,13 @@ class SupervisedThread:
             known, self._done = None, self._steps.done
         if known != fault:
             LOG.error("%s", fault, exc_info=error)
-            self._untold.append(fault)
+            self._untold.add(fault)
         self._tell()
 
     def _tell(self) -> None:
         """Journal the faults not journalled yet; what the journal does not take is told with the next."""
         try:
-            while self._untold:
-                self._journal(self._untold[0])
-                del self._untold[0]
+            self._untold.tell()
         except Exception:
             LOG.exception("journal")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import errno
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,6 +26,9 @@ DEEPEST = 16
 """Tables and lists within one another. Ours reach 5; Python's own reader gives up near 1000. (By hand, 2026-11)"""
 MOST_DIGITS = 300
 """Of a whole number: longer ones are no number to a computer. (The largest of 64 bits is 1.8e308, IEEE 754)"""
+LARGEST_BYTES = 1 << 24
+"""Of a file that people write, and of a line: ours have some 20 kB; a wrong file, or a device, may have no end.
+(By hand)"""
 _LONG_NUMBER = re.compile(rf"[0-9][0-9_]{{{MOST_DIGITS},}}")
 _DIGITS = re.compile(r"_?[0-9]+")
 _TYPING_SLIPS = 2
@@ -68,10 +72,39 @@ def _no_toml(text: str, reason: str) -> Message:
     return say("toml-invalid", line=line, column=column)
 
 
+def text_in(path: Path) -> str:
+    """Return what stands in a file that people write.
+
+    Raises
+    ------
+    OSError
+        Also for more than `LARGEST_BYTES`.
+    UnicodeDecodeError
+        For what is not UTF-8.
+    """
+    with path.open("rb") as file:
+        found = file.read(LARGEST_BYTES + 1)
+    if len(found) > LARGEST_BYTES:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+    return found.decode().replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(text: str) -> Any:
+    """Return what a JSON text says. Raises `InputError` with the reason, without the file."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(reason_of(error)) from error
+    except RecursionError as error:
+        raise InputError(say("toml-too-deep", deepest=DEEPEST)) from error
+    except ValueError as error:  # Python converts no integer of more than 4300 digits
+        raise InputError(_too_long(text)) from error
+
+
 def load_toml(path: Path, what: Message) -> dict[str, Any]:
     """Read a TOML file. Raises `InputError` naming it; `what` says which kind of file it should be."""
     try:
-        return read_toml(path.read_text(encoding="utf-8"))
+        return read_toml(text_in(path))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(at(path, say("file-cannot-read", what=what, reason=reason_of(error)))) from error
     except InputError as error:
@@ -83,6 +116,7 @@ SYSTEM_FAULTS = {
     errno.EADDRINUSE: "system-address-in-use",
     errno.EADDRNOTAVAIL: "system-address-not-here",
     errno.EEXIST: "system-exists-already",
+    errno.EFBIG: "system-too-large",
     errno.EISDIR: "system-is-a-folder",
     errno.ENAMETOOLONG: "system-name-too-long",
     errno.ENOENT: "system-no-such-file",
@@ -106,7 +140,7 @@ def reason_of(error: Exception) -> Message | str:
         return say("at-line", line=error.object.count(b"\n", 0, error.start) + 1, what=say("run-not-utf8"))
     if isinstance(error, json.JSONDecodeError):
         return say("json-invalid", line=error.lineno, column=error.colno)
-    return str(error)
+    return spoken(error)
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:
@@ -147,8 +181,13 @@ def _joined(faults: tuple[Message, ...]) -> Message:
     return first if not rest else say("fault-and-more", first=first, rest=_joined(tuple(rest)))
 
 
+_BRANCHES = ("At", "bool", "float", "int", "str")
+_WRAPPED = ("function-", "constrained-", "tuple[")
+"""What pydantic puts among keys for a value that may be of several kinds: no key of anybody's file."""
+
+
 def _fault(item: Any, model: type[BaseModel]) -> Message:
-    loc = [str(p) for p in item["loc"] if not str(p).startswith(("function-", "constrained-", "tuple["))]
+    loc = [str(p) for p in item["loc"] if p not in _BRANCHES and not str(p).startswith(_WRAPPED)]
     key, value, kind = ".".join(loc), item.get("input"), item["type"]
     why = unknown_key(loc[-1], fields_at(model, loc[:-1])) if kind == "extra_forbidden" else why_of(item)
     if not key:

@@ -1,4 +1,4 @@
-"""Waiting for loggers: a reply that must come has all the time a busy machine takes, silence is believed soon."""
+"""Waiting: what must happen has all the time a busy machine takes, a logger's silence is believed soon."""
 
 from __future__ import annotations
 
@@ -14,6 +14,16 @@ from daq.records import Reading
 PATIENT = {"timeout_s": 60.0, "drain_s": 0.05}
 LONGEST_S = 240.0
 _TRIES = 6
+
+
+def wait_until(
+    done: Callable[[], object], otherwise: object = "it did not happen in time", longest_s: float = LONGEST_S
+) -> None:
+    """Wait for what must happen; `otherwise` is what to say if it does not, or gives it."""
+    deadline = time.monotonic() + longest_s
+    while not done():
+        assert time.monotonic() < deadline, otherwise() if callable(otherwise) else otherwise
+        time.sleep(0.02)
 
 
 @contextlib.contextmanager

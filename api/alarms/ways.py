@@ -9,7 +9,7 @@ from __future__ import annotations
 import smtplib
 import ssl
 from base64 import b64encode
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from email.message import EmailMessage
 from hashlib import sha256
 from pathlib import Path
@@ -22,7 +22,7 @@ from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import InputError
 from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoredAlarm
-from daq.tables import reason_of
+from daq.tables import reason_of, text_in
 from daq.words import say
 from daq.words.message import languages, words
 
@@ -52,15 +52,20 @@ class Way(Protocol):
 
 @dataclass(frozen=True)
 class Email:
-    """A message to everybody configured."""
+    """A message to one address."""
 
     settings: EmailSettings
+    to: str
     store: str
     """Which store the alarm's number counts in."""
-    name: str = "email"
+
+    @property
+    def name(self) -> str:
+        """Whoever shares a store and mails to this address shares this way."""
+        return f"email {self.to.casefold()}"
 
     def deliver(self, alarm: StoredAlarm) -> None:
-        """Send one message; taken when the server has taken it for at least one of the addresses."""
+        """Send one message."""
         s = self.settings
         try:
             context = ssl.create_default_context() if s.security != "none" else None
@@ -81,9 +86,9 @@ class Email:
         text = words(alarm.message, s.language)
         mail = EmailMessage()
         mail["Subject"] = words(say("alarm-subject", what=alarm.message), s.language)[:200].replace("\n", " ")
-        mail["From"], mail["To"] = s.sender, ", ".join(s.to)
+        mail["From"], mail["To"] = s.sender, self.to
         mail["Date"] = alarm.raised_utc
-        place = sha256(self.store.encode()).hexdigest()[:12]
+        place = _digest(f"{self.store} {self.name}")
         mail["Message-ID"] = f"<alarm-{alarm.number}.{place}@{s.sender.partition('@')[2]}>"
         raised = f"{alarm.raised_utc:%Y-%m-%d %H:%M:%S} UTC"
         mail.set_content(words(say("alarm-body", what=text, raised=raised, number=alarm.number), s.language))
@@ -124,7 +129,13 @@ class Webhook:
     """The alarm as `/alarms` lists it, by POST."""
 
     settings: WebhookSettings
-    name: str = "webhook"
+    address: str = field(repr=False)
+    """As it was read when the way was made: by it the outbox knows this receiver from another."""
+
+    @property
+    def name(self) -> str:
+        """Without the address, which holds secrets."""
+        return f"webhook {_digest(self.address)}"
 
     def deliver(self, alarm: StoredAlarm) -> None:
         """Post it once; taken where the answer is a success."""
@@ -147,13 +158,17 @@ def ways_of(email: EmailSettings | None, webhook: WebhookSettings | None, store:
             raise InputError(say("alarm-language", language=email.language, known=languages()))
         if email.user:
             _readable(email.password_file)
-        ways.append(Email(email, store))
+        ways += [Email(email, to, store) for to in dict.fromkeys(email.to)]
     if webhook is not None:
         address = _readable(webhook.address_file)
         if not address.startswith(("http://", "https://")):
             raise InputError(say("alarm-webhook-address", path=str(webhook.address_file)))
-        ways.append(Webhook(webhook))
+        ways.append(Webhook(webhook, address))
     return ways
+
+
+def _digest(said: str) -> str:
+    return sha256(said.encode()).hexdigest()[:12]
 
 
 def _readable(path: Path | None) -> str:
@@ -164,4 +179,4 @@ def _readable(path: Path | None) -> str:
 
 
 def _first_line(path: Path | None) -> str:
-    return path.read_text(encoding="utf-8-sig").split("\n")[0].strip() if path is not None else ""
+    return text_in(path).removeprefix("\ufeff").split("\n")[0].strip() if path is not None else ""

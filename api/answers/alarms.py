@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 
 from api.answers.schemas import Alarm, AlarmLimits, AlarmThresholds
 from api.answers.words import said_of
 from daq.store.records import StoredAlarm, Thresholds
+from daq.words import Message
 
 
-def alarm_of(stored: StoredAlarm, standing: Collection[str] | None = None) -> Alarm:
-    """Return a stored alarm. `standing`: keys of what stands now, as `/health` tells it; None: as stored."""
+def alarm_of(stored: StoredAlarm, standing: Mapping[str, Message] | None = None) -> Alarm:
+    """Return a stored alarm. `standing`: what stands now by its key, in words of now; None: as stored."""
     stands = stored.ended_utc is None and (standing is None or stored.key in standing)
+    said = standing[stored.key] if stands and standing is not None else stored.message
     return Alarm(
         id=str(stored.number),
         press=stored.press,
-        message=str(stored.message),
-        message_said=said_of(stored.message),
+        message=str(said),
+        message_said=said_of(said),
         raised_utc=stored.raised_utc,
         ended_utc=None if stands else stored.ended_utc or stored.seen_utc,
         stands=stands,

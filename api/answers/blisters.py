@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from api.answers.kept import Kept
 from api.answers.schemas import Blisters, MarkedPanel
 from api.answers.words import said_of
 from daq.press.header import BLISTER, GOOD, VERDICT
@@ -26,8 +27,7 @@ CURVE_KPA = np.linspace(2.0, 300.0, 150)
 """Where the chance of a blister is given: up to three times what MDF bears. [kPa]"""
 REMEMBERED = 30 * MOST
 """Panels whose steam is kept in memory, the last asked for: all that thirty presses show."""
-_STEAM: dict[tuple[str, str, int | None], tuple[float, float]] = {}
-_LOCK = threading.Lock()
+_STEAM: Kept[tuple[str, str, int | None], tuple[float, float]] = Kept(REMEMBERED)
 
 
 def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
@@ -37,7 +37,7 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
 
     runs = every(lambda at: store.runs(press=press, cursor=at, limit=500))
     marked = [run for run in runs if run.header.get(VERDICT) in (GOOD, BLISTER)][:MOST]
-    steam = [_at_opening(store, run) for run in marked]
+    steam = [_STEAM.get((store.label, r.run, r.last_scan), partial(_at_opening, store, r.run)) for r in marked]
     log = np.array(steam).reshape(-1, 2)
     burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
     believed = believed_limit(resin)
@@ -69,23 +69,11 @@ def _panel(run: RunRecord, mean: float, sd: float) -> MarkedPanel:
     )
 
 
-def _at_opening(store: Store, run: RunRecord) -> tuple[float, float]:
+def _at_opening(store: Store, run: str) -> tuple[float, float]:
     """Return ln of the steam last told before the press opened, and its deviation; NaN where none was. [ln kPa]"""
-    key = (store.label, run.run, run.last_scan)
-    with _LOCK:
-        found = _STEAM.pop(key, None)
-    found = found or _read(store, run)
-    with _LOCK:
-        _STEAM[key] = found
-        while len(_STEAM) > REMEMBERED:
-            del _STEAM[next(iter(_STEAM))]
-    return found
-
-
-def _read(store: Store, run: RunRecord) -> tuple[float, float]:
     told: Sequence[tuple[float, StoredEstimate]] = ()
     with suppress(InputError):  # in an archive that is away, or deleted by rule
-        told = store.estimates(run.run)
+        told = store.estimates(run)
     last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(told) if e.state == "closed"), {})
     middle, high = last.get("steam_kPa", math.nan), last.get("steam_high_kPa", math.nan)
     if middle > 0.0 and high > middle:

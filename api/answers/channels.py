@@ -11,6 +11,7 @@ from statistics import median
 from typing import Any, Literal
 
 from api.answers.decimation import number_or_none
+from api.answers.kept import Kept
 from api.answers.schemas import ChannelNow, Faces
 from daq.records import Channel, Quality, Scan
 from daq.store.records import ProcessStatus
@@ -93,17 +94,18 @@ class _Watch:
             return sum(count[name] for _, count in self.gaps)
 
 
-_WATCHES: dict[tuple[str, str], _Watch] = {}
-_WATCHES_LOCK = threading.Lock()
+PRESSES = 200
+"""Presses whose channels are followed: twice what one server has."""
+_WATCHES: Kept[tuple[str, str], _Watch] = Kept(PRESSES)
 
 
 def _watch_of(store: Store, press: str, newest: int) -> _Watch:
-    with _WATCHES_LOCK:
-        known = _WATCHES.get((store.label, press))
-        if known is None or newest < known.newest:  # a new store at the same place
-            known = _WATCHES[store.label, press] = _Watch()
-    known.look(store, press, newest)
-    return known
+    def same_store(known: _Watch | None) -> _Watch:
+        return _Watch() if known is None or newest < known.newest else known  # a new store at the same place
+
+    watch = _WATCHES.renew((store.label, press), same_store)
+    watch.look(store, press, newest)
+    return watch
 
 
 def channels_now(

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
-import threading
+from collections.abc import Sequence
 
+from api.answers.kept import Kept
 from api.answers.schemas import Drift
 from api.answers.words import said_of
 from daq.store.store import Store
 
-_KEPT: dict[tuple[str, str], tuple[tuple[int, str], list[Drift]]] = {}
-_LOCK = threading.Lock()
+PRESSES = 200
+"""Presses whose charts are kept in memory: twice what one server has."""
+_KEPT: Kept[tuple[object, ...], Sequence[Drift]] = Kept(PRESSES)
 
 
-def drift_of(store: Store, press: str) -> list[Drift]:
+def drift_of(store: Store, press: str) -> Sequence[Drift]:
     """Return the changes that stand, one a coefficient at most; charted anew with each fit and promotion."""
+    active = store.active_model(press)
+    key = (store.label, press, store.newest_fit_number(press), active.version if active else "")
+    return _KEPT.get(key, lambda: _charted(store, press))
+
+
+def _charted(store: Store, press: str) -> Sequence[Drift]:
     from softsensor.jobs.drift import alarms_of
 
-    active = store.active_model(press)
-    newest = (store.newest_fit_number(press), active.version if active else "")
-    with _LOCK:
-        known, drifts = _KEPT.get((store.label, press), ((-1, ""), []))
-        if known == newest:
-            return drifts
-        drifts = [
-            Drift(
-                press=press,
-                coefficient=alarm.coefficient,
-                since_run=alarm.run,
-                noticed_run=alarm.noticed,
-                factor=round(alarm.factor, 4),
-                chart=alarm.chart.value,
-                sentence=str(alarm.message),
-                sentence_said=said_of(alarm.message),
-            )
-            for alarm in alarms_of(store, press)
-        ]
-        _KEPT[store.label, press] = (newest, drifts)
-        return drifts
+    return [
+        Drift(
+            press=press,
+            coefficient=alarm.coefficient,
+            since_run=alarm.run,
+            noticed_run=alarm.noticed,
+            factor=round(alarm.factor, 4),
+            chart=alarm.chart.value,
+            sentence=str(alarm.message),
+            sentence_said=said_of(alarm.message),
+        )
+        for alarm in alarms_of(store, press)
+    ]

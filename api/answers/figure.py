@@ -30,7 +30,7 @@ DASH = "6 4"
 INK, FAINT, LINE = "#17202b", "#5a6675", "#dfe3e8"
 CALM = 0.97
 """Share of the residuals the axis shows: the second after closing may be off by tens of kelvins."""
-SHADES = {"open": "#fdf3e1", "closed": "#faeaea"}
+SHADES = {"open": "#fdf3e1", "closed": "#eef4f5"}
 
 
 @dataclass(frozen=True)

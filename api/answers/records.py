@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
@@ -12,10 +11,12 @@ from typing import Any
 from api.answers.advice import advice_of
 from api.answers.channels import channels_now, faces_now
 from api.answers.decimation import number_or_none
+from api.answers.kept import Kept
 from api.answers.present import SILENT_S, Present, age_of, is_of_now, leave_of, present_of
 from api.answers.schemas import (
     CoefficientFit,
     CoefficientPoint,
+    DiagnosisRecord,
     EstimateNow,
     ModelSummary,
     ParameterWords,
@@ -32,13 +33,8 @@ from api.answers.words import said_of
 from daq.press.header import VERDICT, doubts
 from daq.press.press_file import parse_press
 from daq.records import InputError
-from daq.store.records import (
-    CoefficientRecord,
-    ModelRecord,
-    ModelStatus,
-    RunRecord,
-    StoredEstimate,
-)
+from daq.store.records import CoefficientRecord, ModelRecord, ModelStatus, RunRecord, RunStatus, StoredEstimate
+from daq.store.records import DiagnosisRecord as StoredDiagnosis
 from daq.store.store import Store
 from daq.words import Message, spoken
 
@@ -51,12 +47,10 @@ BESIDE_INVALID = {"suspected", "reason_arguments", "left_out"}
 
 KEPT_RUNS = 64
 """Runs whose highest core is kept in memory: more than a page of runs shows."""
-_HIGHEST: dict[tuple[str, str], tuple[int, float]] = {}
-_HIGHEST_LOCK = threading.Lock()
+_HIGHEST: Kept[tuple[str, str], tuple[int, float]] = Kept(KEPT_RUNS)
 KEPT_MODELS = 16
 """Models in force whose numbers are kept in memory: one a press, for as many presses as one server has."""
-_IN_USE: dict[tuple[object, ...], dict[str, float]] = {}
-_IN_USE_LOCK = threading.Lock()
+_IN_USE: Kept[tuple[object, ...], dict[str, float]] = Kept(KEPT_MODELS)
 
 
 def phases_of(run: RunRecord) -> list[Phase]:
@@ -80,10 +74,16 @@ NOT_DESCRIBED = "fit-not-described-check"
 def run_summaries(store: Store, runs: Sequence[RunRecord]) -> list[RunSummary]:
     """Return runs as lists show them."""
     fits = store.fits([run.run for run in runs])
-    return [_run_summary(store, run, fits.get(run.run)) for run in runs]
+    return [run_summary(store, run, fits.get(run.run)) for run in runs]
 
 
-def _run_summary(store: Store, run: RunRecord, fit: Mapping[str, Any] | None) -> RunSummary:
+def is_described(fit: Mapping[str, Any]) -> bool:
+    """Return whether the model describes the run that was fitted."""
+    return all(warning["code"] != NOT_DESCRIBED for warning in fit.get("warnings_said", ()))
+
+
+def run_summary(store: Store, run: RunRecord, fit: Mapping[str, Any] | None) -> RunSummary:
+    """Return a run with its newest fit as lists show it."""
     duration = (run.ended_utc - run.started_utc).total_seconds() if run.started_utc and run.ended_utc else None
     newest = run.last_scan if run.last_scan is not None else store.newest_scan_number(run.press)
     return RunSummary(
@@ -101,7 +101,7 @@ def _run_summary(store: Store, run: RunRecord, fit: Mapping[str, Any] | None) ->
         opened_s=number_or_none(run.moments.opened_s),
         rmse_K=(fit or {}).get("rmse_K"),
         fitted=fit is not None,
-        described=None if fit is None else all(w["code"] != NOT_DESCRIBED for w in fit.get("warnings_said", ())),
+        described=None if fit is None else is_described(fit),
         verdict=run.header.get(VERDICT),
     )
 
@@ -201,16 +201,16 @@ def target_of(store: Store, run: RunRecord | None, estimate: EstimateNow | None)
 
 def highest_core(store: Store, run: RunRecord) -> float:
     """Return the highest core temperature predicted in an open run so far, -inf before the first."""
-    with _HIGHEST_LOCK:
-        last, highest = _HIGHEST.get((store.label, run.run), (run.first_scan - 1, -math.inf))
+
+    def look_on(known: tuple[int, float] | None) -> tuple[int, float]:
+        last, highest = known or (run.first_scan - 1, -math.inf)
         while estimates := store.estimates_after(run.press, last, 2000):
             last = estimates[-1].number
-            known = [e.core_celsius for e in estimates if e.valid and math.isfinite(e.core_celsius)]
-            highest = max([highest, *known])
-        _HIGHEST[store.label, run.run] = (last, highest)
-        while len(_HIGHEST) > KEPT_RUNS:
-            del _HIGHEST[next(iter(_HIGHEST))]
-    return highest
+            cores = [e.core_celsius for e in estimates if e.valid and math.isfinite(e.core_celsius)]
+            highest = max([highest, *cores])
+        return last, highest
+
+    return _HIGHEST.renew((store.label, run.run), look_on)[1]
 
 
 def press_now(store: Store, press: str, press_file: str, now: datetime) -> PressNow:
@@ -249,17 +249,12 @@ def coefficients_in_use(store: Store, press: str, press_file: str) -> dict[str, 
     active = store.active_model(press)
     newest = store.newest_fit_number(press)
     key = (store.label, press, press_file, active.version if active else "", newest)
-    with _IN_USE_LOCK:
-        if key not in _IN_USE:
-            _IN_USE[key] = _coefficients(store, press, press_file, active)
-            while len(_IN_USE) > KEPT_MODELS:
-                del _IN_USE[next(iter(_IN_USE))]
-        return _IN_USE[key]
+    return _IN_USE.get(key, lambda: _coefficients(store, press, press_file, active))
 
 
 def _coefficients(store: Store, press: str, press_file: str, active: ModelRecord | None) -> dict[str, float]:
-    from softsensor.heat.model_file import parse_model
-    from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
+    from softsensor.heat.model_reading import parse_model
+    from softsensor.jobs.model_in_force import NEWEST_RUNS, brought_up_to_date
 
     if not press_file:
         return {}
@@ -268,11 +263,8 @@ def _coefficients(store: Store, press: str, press_file: str, active: ModelRecord
         base = parse_model(active.model, f"model {active.version}") if active else None
     except InputError:
         return {}
-    version = base.version if base else PRESS_FILE
-    runs = [run.run for run in store.runs(press=press, limit=NEWEST_RUNS + 1).items]
-    found = store.fits(runs)
-    fits = [found[run] for run in runs if run in found and found[run]["model_version"] == version]
-    model = up_to_date(described, base, fits[:NEWEST_RUNS])
+    runs = store.runs(press=press, limit=NEWEST_RUNS + 1).items
+    model = brought_up_to_date(store, described, base, [r.run for r in runs if r.status is not RunStatus.OPEN])
     guesses = {name: described.coefficient(name).guess for name in described.coefficient_names}
     return guesses | ({name: e.value for name, e in model.coefficients.items()} if model else {})
 
@@ -339,6 +331,20 @@ def _why(model: ModelRecord) -> Said | None:
     if kept:
         return Said(**kept)
     return said_of(spoken(model.reason)) if model.reason else None
+
+
+def diagnosis_of(diagnosis: StoredDiagnosis) -> DiagnosisRecord:
+    """Return a diagnosis as lists show it: its curves are asked for by themselves."""
+    found = diagnosis.diagnosis
+    return DiagnosisRecord(
+        id=str(diagnosis.number),
+        press=diagnosis.press,
+        utc=diagnosis.created_utc,
+        verdict=diagnosis.verdict,
+        diagnosis={key: value for key, value in found.items() if key != "curves"},
+        parameters=parameter_words(effect["name"] for effect in found.get("effects", ())),
+        has_curves="curves" in found,
+    )
 
 
 def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:

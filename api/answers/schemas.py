@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from daq.store.records import Page
+
+T = TypeVar("T")
+R = TypeVar("R")
 State = Literal["idle", "open", "closed", "unknown"]
 Verdict = Literal["good", "blister", "undercured", "scrap"]
 
 
 class _Answer(BaseModel):
     model_config = ConfigDict(extra="forbid")
+
+
+class Paged(_Answer, Generic[T]):
+    """One page of a list."""
+
+    items: list[T]
+    next_cursor: str | None
+
+    @classmethod
+    def of(cls, page: Page[R], shown: Callable[[R], T]) -> Self:
+        """Return a page of the store as the API shows its rows."""
+        return cls(items=[shown(row) for row in page.items], next_cursor=page.next_cursor)
+
+
+class Whole(_Answer, Generic[T]):
+    """A list that comes in one piece."""
+
+    items: list[T]
+    next_cursor: str | None = None
 
 
 class Said(_Answer):
@@ -123,11 +147,8 @@ class AdviceNow(_Answer):
     advice: Advice
 
 
-class AdviceList(_Answer):
+class AdviceList(Whole[AdviceNow]):
     """The advice for every press."""
-
-    items: list[AdviceNow]
-    next_cursor: str | None = None
 
 
 class ChannelNow(_Answer):
@@ -153,11 +174,8 @@ class ChannelNow(_Answer):
     counters: dict[str, int] = Field(default_factory=dict)
 
 
-class ChannelList(_Answer):
+class ChannelList(Whole[ChannelNow]):
     """All channels of all presses."""
-
-    items: list[ChannelNow]
-    next_cursor: str | None = None
 
 
 class EstimateNow(_Answer):
@@ -286,11 +304,8 @@ class PressNow(_Answer):
     """The press file as the recorder used it."""
 
 
-class PressList(_Answer):
+class PressList(Whole[PressNow]):
     """Every press the store knows."""
-
-    items: list[PressNow]
-    next_cursor: str | None = None
 
 
 class RunSummary(_Answer):
@@ -348,21 +363,15 @@ class RunHit(RunSummary):
     recipe: str
     numbers: dict[str, float | None]
     """Every number known of the run: of its header, `press_time_s`, `rmse_K`, `core_at_opening_C`, `core_peak_C`,
-    `band_at_opening_K` (the width of the 95 % band)."""
+    `band_at_opening_K` (the width of the 95 % band), and the coefficients that it determines, by name [W/m²K]."""
 
 
-class SearchList(_Answer):
+class SearchList(Paged[RunHit]):
     """Runs looked for."""
 
-    items: list[RunHit]
-    next_cursor: str | None
 
-
-class RunList(_Answer):
+class RunList(Paged[RunSummary]):
     """One page of runs, newest first."""
-
-    items: list[RunSummary]
-    next_cursor: str | None
 
 
 class RunEdit(_Answer):
@@ -610,11 +619,8 @@ class CoefficientPoint(_Answer):
     """The run's `setting.*` keys that are numbers."""
 
 
-class CoefficientHistory(_Answer):
+class CoefficientHistory(Paged[CoefficientPoint]):
     """Coefficients over time, newest first."""
-
-    items: list[CoefficientPoint]
-    next_cursor: str | None
 
 
 class Drift(_Answer):
@@ -632,11 +638,8 @@ class Drift(_Answer):
     sentence_said: Said
 
 
-class DriftList(_Answer):
+class DriftList(Whole[Drift]):
     """Coefficients that drift; empty where all is as usual."""
-
-    items: list[Drift]
-    next_cursor: str | None = None
 
 
 class ModelSummary(_Answer):
@@ -652,11 +655,8 @@ class ModelSummary(_Answer):
     reason_said: Said | None = None
 
 
-class ModelList(_Answer):
+class ModelList(Paged[ModelSummary]):
     """Model versions, newest first."""
-
-    items: list[ModelSummary]
-    next_cursor: str | None = None
 
 
 class ModelDetail(ModelSummary):
@@ -698,11 +698,8 @@ class DiagnosisCurves(_Answer):
     """`run` at `time_s` by place, its core, and residuals of all runs since closing (`campaign`)."""
 
 
-class DiagnosisList(_Answer):
+class DiagnosisList(Paged[DiagnosisRecord]):
     """Diagnoses, newest first."""
-
-    items: list[DiagnosisRecord]
-    next_cursor: str | None
 
 
 class LeftOut(_Answer):
@@ -761,11 +758,8 @@ class Night(_Answer):
     """Runs due for the archive that are still in the store."""
 
 
-class NightList(_Answer):
+class NightList(Paged[Night]):
     """Nights, newest first."""
-
-    items: list[Night]
-    next_cursor: str | None
 
 
 class Alarm(_Answer):
@@ -782,11 +776,8 @@ class Alarm(_Answer):
     acknowledged_by: str | None
 
 
-class AlarmList(_Answer):
+class AlarmList(Paged[Alarm]):
     """Alarms, newest first."""
-
-    items: list[Alarm]
-    next_cursor: str | None
 
 
 Celsius = Annotated[float, Field(ge=-100.0, le=1000.0, allow_inf_nan=False)]
@@ -816,11 +807,8 @@ class AlarmThresholds(_Answer):
     utc: datetime | None
 
 
-class AlarmThresholdsList(_Answer):
+class AlarmThresholdsList(Whole[AlarmThresholds]):
     """The limits of every press."""
-
-    items: list[AlarmThresholds]
-    next_cursor: str | None = None
 
 
 class EventRecord(_Answer):
@@ -838,8 +826,5 @@ class EventRecord(_Answer):
     details: dict[str, Any] = Field(default_factory=dict)
 
 
-class EventList(_Answer):
+class EventList(Paged[EventRecord]):
     """Events, newest first."""
-
-    items: list[EventRecord]
-    next_cursor: str | None

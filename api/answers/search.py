@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import operator
 import re
-import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from api.answers.decimation import number_or_none
-from api.answers.records import run_summaries
+from api.answers.kept import Kept
+from api.answers.records import is_described, run_summary
 from api.answers.schemas import RunHit
 from daq.press.header import VERDICT
 from daq.records import InputError
@@ -22,10 +23,11 @@ from daq.words import say
 CORE = ("core_at_opening_C", "core_peak_C", "band_at_opening_K")
 OWN = ("press_time_s", "rmse_K", *CORE)
 """Numbers of a run beside those of its header (`panel.thickness_mm`, `setting.pressure_N_cm2`)."""
-_KEPT: dict[tuple[str, str], RunCore] = {}
-_LOCK = threading.Lock()
+COEFFICIENT = "h_"
+"""How the names of heat transfer coefficients begin: a run's fit brings those that it determines."""
 MOST_KEPT = 20_000
 """Runs whose numbers are kept in memory: some hundred bytes each."""
+_CORES: Kept[tuple[str, str], RunCore] = Kept(MOST_KEPT)
 AT_ONCE = 500
 """Runs asked of the store at a time, as in a page (`MAX_PAGE`)."""
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "=": operator.eq}
@@ -72,18 +74,20 @@ class Wanted:
     """A number's name, ``-`` before it for the largest first; empty: the newest first."""
 
     @property
-    def needs_core(self) -> bool:
-        """Whether the core of every run matters, and not of those shown alone."""
-        return any(b.name in CORE for b in self.bounds) or self.order.removeprefix("-") in CORE
+    def numbers(self) -> set[str]:
+        """The numbers that matter of every run, and not of those shown alone."""
+        return {self.order.removeprefix("-"), *(bound.name for bound in self.bounds)}
 
 
 def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[list[RunHit], int | None]:
     """Return some of the runs looked for, and where the next ones begin, None after the last."""
     runs = every(lambda at: _page_at(store, wanted, at))
     records = [r for r in runs if _matches(r, wanted)]
-    errors = store.fit_errors([r.run for r in records]) if _asks_for(wanted, "rmse_K") else {}
-    cores = _cores_of(store, records) if wanted.needs_core else {}
-    found = [(r, numbers_of(r, cores.get(r.run), errors.get(r.run))) for r in records]
+    names = [r.run for r in records]
+    errors = store.fit_errors(names) if "rmse_K" in wanted.numbers else {}
+    fits = store.fits(names) if any(name.startswith(COEFFICIENT) for name in wanted.numbers) else {}
+    cores = _cores_of(store, records) if wanted.numbers.intersection(CORE) else {}
+    found = [(r, numbers_of(r, cores.get(r.run), errors.get(r.run), fits.get(r.run))) for r in records]
     found = [(r, numbers) for r, numbers in found if all(bound.holds(numbers) for bound in wanted.bounds)]
     if wanted.order:
         found = _ordered(found, wanted.order)
@@ -105,17 +109,31 @@ def _page_at(store: Store, wanted: Wanted, cursor: str | None) -> Page[RunRecord
 def hits(store: Store, records: Sequence[RunRecord]) -> list[RunHit]:
     """Return runs with the numbers they are compared by."""
     cores = _cores_of(store, records)
+    fits = store.fits([record.run for record in records])
     shown = []
-    for record, summary in zip(records, run_summaries(store, records), strict=True):
-        numbers = numbers_of(record, cores.get(record.run), summary.rmse_K)
+    for record in records:
+        fit = fits.get(record.run)
+        summary = run_summary(store, record, fit)
+        numbers = numbers_of(record, cores.get(record.run), summary.rmse_K, fit)
         told = {name: number_or_none(value) for name, value in numbers.items()}
         recipe = str(record.header.get("recipe", ""))
         shown.append(RunHit(**summary.model_dump(), remark=record.remark, recipe=recipe, numbers=told))
     return shown
 
 
-def numbers_of(record: RunRecord, core: RunCore | None, rmse_K: float | None) -> dict[str, float]:  # noqa: N803
-    """Return every number known of a run by its name; NaN where it is not known."""
+def numbers_of(
+    record: RunRecord,
+    core: RunCore | None,
+    rmse_K: float | None,  # noqa: N803
+    fit: Mapping[str, Any] | None,
+) -> dict[str, float]:
+    """Return every number known of a run by its name; NaN where it is not known.
+
+    Of the coefficients those that the run determines, and none where the model does not describe it.
+    """
+    found = fit or {}
+    told = found.get("coefficients", {}) if is_described(found) else {}
+    coefficients = {name: float(c["value"]) for name, c in told.items() if c.get("identifiable") is not False}
     given = {
         k: float(v) for k, v in record.header.items() if isinstance(v, int | float) and not isinstance(v, bool)
     }
@@ -126,11 +144,7 @@ def numbers_of(record: RunRecord, core: RunCore | None, rmse_K: float | None) ->
         "core_peak_C": core.highest_celsius if core else math.nan,
         "band_at_opening_K": core.band_at_opening_kelvin if core else math.nan,
     }
-    return given | own
-
-
-def _asks_for(wanted: Wanted, name: str) -> bool:
-    return wanted.order.removeprefix("-") == name or any(bound.name == name for bound in wanted.bounds)
+    return given | coefficients | own
 
 
 def _matches(record: RunRecord, wanted: Wanted) -> bool:
@@ -156,20 +170,17 @@ def _ordered(
 
 def _cores_of(store: Store, records: Sequence[RunRecord]) -> dict[str, RunCore]:
     """Return the core of runs; of finished ones it is asked for once."""
-    with _LOCK:
-        done = {r.run for r in records if r.status is not RunStatus.OPEN}
-        lacking = [run for run in done if (store.label, run) not in _KEPT]
-    fresh = store.run_cores(lacking)
-    with _LOCK:
-        _KEPT.update({(store.label, run): core for run, core in fresh.items()})
-        found = {run: _KEPT[store.label, run] for run in done if (store.label, run) in _KEPT}
-        while len(_KEPT) > MOST_KEPT:
-            del _KEPT[next(iter(_KEPT))]
-    return found
+
+    def look_up(lacking: list[tuple[str, str]]) -> dict[tuple[str, str], RunCore]:
+        cores = store.run_cores([run for _, run in lacking])
+        return {(store.label, run): core for run, core in cores.items()}
+
+    done = [(store.label, record.run) for record in records if record.status is not RunStatus.OPEN]
+    return {run: core for (_, run), core in _CORES.get_all(done, look_up).items()}
 
 
 def check_order(order: str) -> None:
     """Refuse an order by what no run could have. Raises `InputError`."""
     name = order.removeprefix("-")
-    if name and name not in OWN and "." not in name:
+    if name and name not in OWN and "." not in name and not name.startswith(COEFFICIENT):
         raise InputError(say("api-search-order", order=order, known=OWN))

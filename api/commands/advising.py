@@ -16,14 +16,19 @@ from api.commands.planning import parse_ranges
 from api.outputs import as_json, check_writable, spoken_language, tell, working, write_all
 from daq.records import InputError
 from daq.words import say
+from softsensor.planning.wishes import OPEN_S, PRICE, WAITING_S
 
 KnownModel = Annotated[Path, typer.Option("--model", metavar="FILE", help="help-model")]
 ResinFile = Annotated[Path | None, typer.Option("--resin", metavar="FILE", help="help-advice-resin")]
 PanelKeys = Annotated[list[str] | None, typer.Option("--panel", metavar="KEY=VALUE", help="help-panel")]
 GoalName = Annotated[str, typer.Option("--goal", metavar="NAME", help="help-goal")]
-Price = Annotated[float | None, typer.Option("--price", metavar="EUR", min=0.0, help="help-price")]
-Waiting = Annotated[float, typer.Option("--waiting", metavar="S", min=1.0, max=600.0, help="help-waiting")]
-OpenFor = Annotated[float, typer.Option("--open", metavar="S", min=1.0, max=3600.0, help="help-open")]
+Price = Annotated[
+    float | None, typer.Option("--price", metavar="EUR", min=PRICE[0], max=PRICE[1], help="help-price")
+]
+Waiting = Annotated[
+    float, typer.Option("--waiting", metavar="S", min=WAITING_S[0], max=WAITING_S[1], help="help-waiting")
+]
+OpenFor = Annotated[float, typer.Option("--open", metavar="S", min=OPEN_S[0], max=OPEN_S[1], help="help-open")]
 CoreLeast = Annotated[float | None, typer.Option("--core-least", metavar="C", help="help-core-least")]
 CoreMost = Annotated[float | None, typer.Option("--core-most", metavar="C", help="help-core-most")]
 Probability = Annotated[float | None, typer.Option("--probability", metavar="P", help="help-probability")]

@@ -24,6 +24,7 @@ from api.commands.inputs import (
 )
 from api.outputs import check_writable, in_words, tell, tell_table, working, write_all
 from daq.records import InputError
+from daq.tables import text_in
 from daq.words import Message, say, spoken
 
 if TYPE_CHECKING:
@@ -55,7 +56,6 @@ def import_runs(
             runs.append(read(path))
             _refuse_nonsense(runs[-1], described)
             done(number)
-    say_doubts(run.header for run in runs)
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(say("terminal-import-run-twice", run=twice))
@@ -63,7 +63,8 @@ def import_runs(
         for run in runs:
             _refuse_taken(opened, run)
         with working(say("terminal-progress-storing", runs=len(runs))):
-            opened.import_runs(runs, described.name, press.read_text(encoding="utf-8"))
+            opened.import_runs(runs, described.name, text_in(press))
+    say_doubts(run.header for run in runs)
     tell(say("terminal-imported", runs=len(runs)))
 
 

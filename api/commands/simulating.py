@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from api.commands.calling import taking
 from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, files_read, load_runs
 from api.outputs import check_writable, warn, working, write_all
 from daq.records import InputError
-from daq.tables import reason_of
+from daq.tables import read_json, reason_of, text_in
 from daq.words import say
 
 if TYPE_CHECKING:
@@ -135,7 +134,7 @@ def predict(asked: PredictOptions) -> None:
 
 def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:
     """Refuse coefficients the press does not have, raising `InputError`; warn of another press's model."""
-    from softsensor.jobs.model_files import check_coefficient_names
+    from softsensor.heat.model_reading import check_coefficient_names
 
     check_coefficient_names(model.coefficients, presses, str(path))
     if model.press not in ("", presses[0].name):
@@ -144,11 +143,11 @@ def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | No
 
 def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, float]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(text_in(path))
     except OSError as error:
         said = say("terminal-coefficients-unreadable", path=str(path), why=reason_of(error))
         raise InputError(said) from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (UnicodeDecodeError, InputError) as error:
         raise InputError(say("terminal-coefficients-not-json", path=str(path), why=reason_of(error))) from error
     if not isinstance(content, dict):
         raise InputError(say("terminal-coefficients-no-object", path=str(path)))

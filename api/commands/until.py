@@ -3,7 +3,7 @@
 ``900`` is a moment of ``time_s``; ``bottom_1=140`` the first row in which a column (patterns allowed) reads as
 much; ``opened`` an event of the press. ``RUN:`` before any of them makes it that run's own, and goes before what
 is said for all. The option may be repeated; a run ends at the first that comes. Where a temperature or an event
-does not come, nothing is left out.
+does not come, nothing is left out, and a warning says so.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from api.outputs import warn
 from daq.records import InputError, PressEventKind, Run
 from daq.words import say
 
@@ -65,8 +66,8 @@ class End:
             return self.seconds
         columns = run.matching([self.column])
         if not columns:
-            place, known = run.source or run.name, tuple(run.columns)
-            raise InputError(say("terminal-until-no-column", run=place, column=self.column, known=known))
+            known = tuple(run.columns)
+            raise InputError(say("terminal-until-no-column", run=run.name, column=self.column, known=known))
         import numpy as np
 
         hot = np.flatnonzero(np.any([run.columns[name] >= self.seconds for name in columns], axis=0))
@@ -85,11 +86,16 @@ def shortened(runs: Sequence[Run], press: Press, until: Sequence[str] | None) ->
     names = {run.name for run in runs}
     if wrong := next((end for end in ends if end.run and end.run not in names), None):
         raise InputError(say("terminal-until-no-run", until=wrong.text, run=wrong.run, known=tuple(sorted(names))))
-    found = []
+    found, whole = [], dict[str, list[str]]()
     for run in runs:
         asked = [end for end in ends if end.run == run.name] or [end for end in ends if not end.run]
         moments = {end.moment(run, press): end for end in asked}
-        found.append(_rows_until(run, min(moments), moments[min(moments)].text) if moments else run)
+        last_s = min(moments, default=math.inf)
+        if moments and last_s == math.inf:
+            whole.setdefault(moments[last_s].text, []).append(run.name)
+        found.append(_rows_until(run, last_s, moments[last_s].text) if moments else run)
+    for text, of in whole.items():
+        warn(say("terminal-until-not-reached", until=text, runs=tuple(of)))
     return found
 
 
@@ -99,5 +105,5 @@ def _rows_until(run: Run, last_s: float, asked: str) -> Run:
     rows = int(np.searchsorted(run.time_s, last_s, side="right"))
     if rows < 2:
         kept = {"rows": rows, "all": len(run.time_s), "first": float(run.time_s[0])}
-        raise InputError(say("terminal-until-leaves-too-little", run=run.source or run.name, until=asked, **kept))
+        raise InputError(say("terminal-until-leaves-too-little", run=run.name, until=asked, **kept))
     return run.at_rows(slice(rows))

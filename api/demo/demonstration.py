@@ -275,7 +275,7 @@ class _Demo:
             self.tell(line)
         if not self.plan.hide:
             return
-        from softsensor.heat.model_file import parse_model  # compiled code, of which the beginning needs none
+        from softsensor.heat.model_reading import parse_model  # compiled code, of which the beginning needs none
 
         active = self.store.active_model(PRESS)
         if active is not None and active.model.get("effects"):

@@ -160,7 +160,7 @@ def summary_lines(
             str(f.scans),
             f"{f.closing_error_s:+.2f} s",
             f"{f.opening_error_s:+.2f} s",
-            f"{f.rmse_before_K:.2f} -> {f.rmse_after_K:.2f} K",
+            f"{f.rmse_before_K:.2f}, {f.rmse_after_K:.2f} K",
             f"{f.core_rmse_K:.2f} K",
             f"{f.core_worst_K:.2f} K",
             f"{100 * f.inside_band:.0f} %",

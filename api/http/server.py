@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import socket
 import ssl
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +22,7 @@ import uvicorn
 from api.http.app import create_app
 from api.http.binding import UNREAD_S, take_port
 from api.http.gate import is_loopback
-from api.http.tokens import TokenFile
+from api.http.tokens import ATTEMPT_WINDOW_S, TokenFile
 from daq.process.notify import Notifier
 from daq.records import InputError
 from daq.store.store import Store
@@ -138,6 +141,43 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
+class SparingLog(logging.Filter):
+    """Lets a library's warning about what clients do through once a minute, with how many there were before it."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._now = now
+        self._told: dict[tuple[str, int], float] = {}
+        self._left_out: Counter[tuple[str, int]] = Counter()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to tell; faults of our own are told each time."""
+        if record.levelno != logging.WARNING:
+            return True
+        kind = record.name, record.lineno
+        if self._now() - self._told.get(kind, -math.inf) < ATTEMPT_WINDOW_S:
+            self._left_out[kind] += 1
+            return False
+        self._told[kind] = self._now()
+        if left_out := self._left_out.pop(kind, 0):
+            record.msg, record.args = f"{record.getMessage()} (+{left_out})", ()
+        return True
+
+
+@contextmanager
+def sparing_log() -> Iterator[None]:
+    """Thin what the libraries log of requests that are none and of connections that are gone."""
+    sparing = SparingLog()
+    loggers = [logging.getLogger(name) for name in ("uvicorn.error", "asyncio")]
+    for logger in loggers:
+        logger.addFilter(sparing)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeFilter(sparing)
+
+
 def allow_many_files() -> None:
     """Raise the process's limit of open files, which is 1024 by default on most systems."""
     if sys.platform == "win32":
@@ -198,4 +238,5 @@ def run_server(server: uvicorn.Server, bound: socket.socket) -> None:
     logging.getLogger("uvicorn.access").disabled = True
     allow_many_files()
     settle_memory()
-    server.run(sockets=[bound])
+    with sparing_log():
+        server.run(sockets=[bound])

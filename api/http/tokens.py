@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from daq.records import InputError
-from daq.tables import reason_of
+from daq.tables import LARGEST_BYTES, reason_of
 from daq.words import Message, say, spoken
 
 Scope = Literal["read", "write"]
@@ -32,10 +32,6 @@ ATTEMPTS = 10
 """Wrong tokens one address may present within `ATTEMPT_WINDOW_S` before further wrong ones are slowed."""
 ATTEMPT_WINDOW_S = 60.0
 """Set by hand, 2026-11: a mistyped token is never slowed, a guessing program always. [s]"""
-
-
-LARGEST_BYTES = 10_000_000
-"""Of the file: some 40,000 tokens. Set by hand, 2026-11."""
 
 
 @dataclass(frozen=True)

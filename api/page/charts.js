@@ -17,8 +17,8 @@ export function closeAll() {
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
 // why(name, x): the cause, in words, of a value that is not there; null where there is none to tell.
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true, xSays = null, bridge = BRIDGE_S, release = text("page-follow") }) {
-    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why, xSays, bridge });
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true, xSays = null, bridge = BRIDGE_S, release = text("page-follow"), letters = 12 }) {
+    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why, xSays, bridge, larger: letters / 12 });
     this.data = [[], ...series.map(() => [])];
     this.marks = [];
     this.held = false;
@@ -29,6 +29,7 @@ export class TimeChart {
       this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, this.across(event.clientX));
     }, { passive: false });
     for (const kind of ["touchstart", "touchmove", "touchend"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
+    this.holder.addEventListener("dblclick", () => this.hold(false)); // which shows all again
     this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, release);
     this.holder.append(this.release);
     this.tip = el("div", { class: "chart-tip", hidden: true });
@@ -53,8 +54,9 @@ export class TimeChart {
   options() {
     const line = style("--line");
     const faint = style("--faint");
-    const font = "12px system-ui, sans-serif";
-    const axis = { stroke: faint, font, labelFont: font, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 5 } };
+    const { larger } = this;
+    const font = `${12 * larger}px system-ui, sans-serif`;
+    const axis = { stroke: faint, font, labelFont: font, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 5 }, labelSize: 20 * larger };
     const [low, high] = ["band-low", "band-high"].map((kind) => this.series.findIndex((s) => s.kind === kind));
     // Each lower bound is followed by its upper one.
     const bands = this.series.flatMap((s, i) => (s.kind === "band-low" && !this.whiskers ? [{ series: [i + 2, i + 1], fill: style(s.colour ?? "--core-band") }] : []));
@@ -69,9 +71,9 @@ export class TimeChart {
         y: this.yRange ? { range: this.yRange } : {},
       },
       axes: [
-        { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => (this.xSays ? this.xSays(v, splits[1] - splits[0] < 60 ? "medium" : "short") : number(v, Number.isInteger(v) ? 0 : 1))) },
+        { ...axis, label: this.xLabel ?? text("page-time-axis"), space: 50 * larger, size: 34 * larger, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => (this.xSays ? this.xSays(v, splits[1] - splits[0] < 60 ? "medium" : "short") : number(v, decimals(splits)))) },
         // A low chart's steps stand as close as its letters allow: one step alone is no scale.
-        { ...axis, label: this.yLabel, labelSize: 20, space: this.height < 200 ? 18 : 30, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
+        { ...axis, label: this.yLabel, space: (this.height < 200 ? 18 : 30) * larger, size: (_, values) => larger * Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
       bands,
@@ -131,7 +133,7 @@ export class TimeChart {
   // Above grid and curves, on a patch of the card's colour.
   name(plot) {
     const { ctx, bbox } = plot;
-    const size = 11 * devicePixelRatio;
+    const size = 11 * this.larger * devicePixelRatio;
     ctx.save();
     ctx.font = `${size}px system-ui, sans-serif`;
     ctx.textAlign = "left";
@@ -153,7 +155,7 @@ export class TimeChart {
   // Lines across or down the chart with a word beside them: [{y | x, name, colour}].
   mark(plot) {
     const { ctx, bbox } = plot;
-    const size = 11 * devicePixelRatio;
+    const size = 11 * this.larger * devicePixelRatio;
     ctx.save();
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
@@ -297,8 +299,8 @@ const everyGap = (plot, index, from, to, gaps) => gaps;
 
 // As many digits as tell the ticks' true values: 37.5 must not read 38.
 function decimals(splits) {
-  const exact = [0, 1, 2].find((digits) => splits.every((v) => Math.abs(v - Number(v.toFixed(digits))) < 1e-9 * Math.max(1, Math.abs(v))));
-  return exact ?? 3;
+  const exact = [0, 1, 2, 3, 4, 5].find((digits) => splits.every((v) => Math.abs(v - Number(v.toFixed(digits))) < 1e-9 * Math.max(1, Math.abs(v))));
+  return exact ?? 6;
 }
 
 // Values at given times, straight between two no further apart than `most` seconds; nothing is made up beyond.
@@ -310,6 +312,13 @@ export function straight(times, values, at, most = Infinity) {
     if (before < 0 || after >= times.length || values[before] === null || values[after] === null || times[after] - times[before] > most) return null;
     return before === after ? values[after] : values[before] + ((values[after] - values[before]) * (time - times[before])) / (times[after] - times[before]);
   });
+}
+
+// The second after closing may be off by tens of kelvins: the axis shows what 97 % of the residuals need.
+export function calmRange(series) {
+  const sizes = series.flat().filter((value) => value !== null).map(Math.abs).sort((a, b) => a - b);
+  const limit = Math.max(sizes[Math.floor(sizes.length * 0.97)] ?? 1, 0.5) * 1.3;
+  return [-limit, limit];
 }
 
 export function key(items) {

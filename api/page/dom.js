@@ -1,5 +1,5 @@
 // Small helpers to build the page: elements, numbers, times in the chosen language.
-import { locale, text } from "./words.js";
+import { inUnits, locale, text } from "./words.js";
 
 export function el(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
@@ -21,8 +21,11 @@ export function number(value, digits = 1) {
   if (!formats.has(key)) {
     formats.set(key, new Intl.NumberFormat(locale(), { minimumFractionDigits: digits, maximumFractionDigits: digits }));
   }
-  return formats.get(key).format(value);
+  return signed(formats.get(key).format(value));
 }
+
+// A number below zero has a minus, which a hyphen is not.
+const signed = (written) => written.replace("-", "−");
 
 // Three significant digits, for values whose size is not known before.
 export function figure(value) {
@@ -32,7 +35,7 @@ export function figure(value) {
 }
 
 // Three significant digits and no thousands separator, for parameters from 0.00001 to 100000.
-export const plain = (value) => new Intl.NumberFormat(locale(), { maximumSignificantDigits: 3, useGrouping: false }).format(value);
+export const plain = (value) => signed(new Intl.NumberFormat(locale(), { maximumSignificantDigits: 3, useGrouping: false }).format(value));
 
 // A number as it was written down, with the language's decimal sign.
 export const written = (value) => new Intl.NumberFormat(locale(), { maximumFractionDigits: 12, useGrouping: false }).format(value);
@@ -63,11 +66,7 @@ export function midnight(day, later) {
 
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";
-  if (seconds < 100) return `${number(seconds, 1)}\u00a0s`;
-  seconds = Math.round(seconds);
-  const minutes = Math.floor(seconds / 60);
-  if (minutes < 100) return `${minutes}\u00a0min ${number(seconds - 60 * minutes, 0)}\u00a0s`;
-  return minutes < 2880 ? `${number(minutes / 60, 1)}\u00a0h` : `${number(minutes / 1440, 1)}\u00a0d`;
+  return seconds < 100 ? `${number(seconds, 1)}\u00a0s` : inUnits(seconds).replace(/(\d) /g, "$1\u00a0");
 }
 
 export function bytes(value) {
@@ -78,24 +77,33 @@ export function bytes(value) {
   return `${number(value, i ? 1 : 0)} ${units[i]}`;
 }
 
-// With `cards`, a narrow screen shows each row as a card, without what is nil.
+// With `cards`, a narrow screen or a place too narrow shows each row as a card, without what is nil.
 export function table(caption, heads, rows, options = {}) {
-  const holder = el("div", { class: "scroll" }, el("table", { class: options.cards ? "list cards" : "list" },
+  const holder = el("div", { class: "scroll" }, el("table", { class: "list" },
     el("caption", { class: "unseen" }, caption),
-    el("thead", {}, el("tr", {}, heads.map((head) =>
+    el("thead", { "data-label": options.sort }, el("tr", {}, heads.map((head) =>
       el("th", { scope: "col", class: head.class }, head.unseen ? el("span", { class: "unseen" }, head.text) : head.text)))),
     el("tbody", {}, rows.map((row, i) => {
-      const node = el("tr", {}, row.map((cell, j) => el("td", { class: [heads[j].class, options.cards && ["0", "–"].includes(cell?.textContent ?? cell) && "nil"].filter(Boolean).join(" ") || null, "data-label": options.cards && heads[j].text }, cell ?? "–")));
+      const node = el("tr", {}, row.map((cell, j) => el("td", { class: [heads[j].class, options.cards && ["0", "–"].includes(cell?.textContent ?? cell) && "nil"].filter(Boolean).join(" ") || null, "data-label": options.cards && (heads[j].text.textContent ?? heads[j].text) }, cell ?? "–")));
       if (options.pick) {
         node.className = "pick";
         node.addEventListener("click", (event) => { if (!event.target.closest("a,input,button")) options.pick(i); });
       }
       return node;
     }))));
+  if (options.cards) new ResizeObserver(() => stack(holder)).observe(holder);
   requestAnimationFrame(() => { // what scrolls must be reachable by the keyboard
     if (holder.scrollWidth > holder.clientWidth) {
       for (const [key, value] of Object.entries({ tabindex: "0", role: "region", "aria-label": caption })) holder.setAttribute(key, value);
     }
   });
   return holder;
+}
+
+const narrow = matchMedia("(max-width: 720px)");
+
+function stack(holder) {
+  const { classList } = holder.firstChild;
+  classList.remove("stacked");
+  classList.toggle("stacked", narrow.matches || holder.scrollWidth > holder.clientWidth);
 }

@@ -34,10 +34,12 @@ function numberOrWords([value], how) {
   return new FluentNumber(value.valueOf(), { ...value.opts, ...options });
 }
 
+// What stands for a time that is not known is words already.
+const span = ([value]) => (value instanceof FluentNumber ? inUnits(value.valueOf()) : value);
+
 // Seconds as people put them, in two units at most; the server's catalogue has the same.
-function span([value]) {
-  if (!(value instanceof FluentNumber)) return value;
-  const seconds = Math.round(value.valueOf());
+export function inUnits(exact) {
+  const seconds = Math.round(exact);
   for (const [large, small, size, part] of [["d", "h", 86400, 3600], ["h", "min", 3600, 60], ["min", "s", 60, 1]]) {
     if (seconds < size) continue;
     const rest = Math.floor((seconds % size) / part);
@@ -52,16 +54,18 @@ export async function chooseLanguage(chosen) {
 
 export const has = (code) => catalogue.bundle.hasMessage(code);
 
+// A number's minus is no hyphen; one within a word or between two numbers is.
+const MINUS = /(?<![\p{L}\d.-])-(?=\d)/gu;
 // No line ends between a number and its unit.
 const UNIT = /(\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|d|kB|MB|GB|TB|kJ|kWh|Hz|N|W|J)(?![\p{L}\d]))/gu;
-const unbroken = (words) => words.replace(UNIT, "$1\u00a0");
+const unbroken = (words) => words.replace(UNIT, "$1\u00a0").replace(MINUS, "−");
 
 // The words of a code; one without any, of a newer server say, is shown with its arguments.
 export function text(code, values = {}) {
   const pattern = catalogue.bundle.getMessage(code)?.value;
   const shown = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, argument(value)]));
   if (pattern) return unbroken(catalogue.bundle.formatPattern(pattern, shown, []));
-  return [code, Object.entries(values).map(([name, value]) => `${name} = ${value}`).join(", ")].filter(Boolean).join(": ");
+  return unbroken([code, Object.entries(values).map(([name, value]) => `${name} = ${value}`).join(", ")].filter(Boolean).join(": "));
 }
 
 // A message of the server in the reader's language; the server's own English where it came without one.
@@ -81,7 +85,8 @@ export const placeName = (place) => (PLACES[place] ? text(PLACES[place]) : place
 // A run's number in words with its unit; one without words, of a header of one's own, stands for itself.
 export function numberName(key) {
   const code = `page-number-${key.replaceAll(".", "-")}`;
-  return has(code) ? text(code) : key;
+  if (has(code)) return text(code);
+  return has(`page-c-${key}`) ? `${key}: ${text(`page-c-${key}`)} [W/m²K]` : key;
 }
 
 // A message about header keys, for whom they are fields of a form: it names each as `names` or a run's numbers do.
@@ -98,10 +103,12 @@ function asField(value, names) {
   return typeof value === "string" ? names[value] ?? numberName(value).replace(/ \[.*\]$/, "") : value;
 }
 
-// What an effect is called, as a heading or in a list; one without words stands for itself.
-export function effectName(effect) {
+// What an effect is called, as a heading or in a list, and within a line; one without words stands for itself.
+export const effectName = (effect) => (effectCalled(effect) === effect ? effect : capital(effectCalled(effect)));
+
+export function effectCalled(effect) {
   const code = [`effect-${effect}-called`, `page-suspected-${effect.replaceAll(" ", "-")}`].find(has);
-  return code ? capital(text(code)) : effect;
+  return code ? text(code) : effect;
 }
 
 export const capital = (words) => words.slice(0, 1).toUpperCase() + words.slice(1);

@@ -42,7 +42,7 @@ from daq.process.config import MqttSettings
 from daq.records import InputError
 from daq.store.store import Store
 from daq.supervision import Steps
-from daq.tables import reason_of
+from daq.tables import reason_of, text_in
 from daq.words import Message, say, spoken
 
 QOS = 1
@@ -274,7 +274,7 @@ def _password(settings: MqttSettings) -> str:
     if settings.password_file is None:
         return ""
     try:
-        return settings.password_file.read_text(encoding="utf-8").split("\n")[0]
-    except OSError as error:
+        return text_in(settings.password_file).split("\n")[0]
+    except (OSError, UnicodeDecodeError) as error:
         said = say("plant-password-unreadable", path=str(settings.password_file), why=reason_of(error))
         raise InputError(said) from error

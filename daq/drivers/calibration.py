@@ -19,7 +19,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daq.records import InputError
-from daq.tables import at, explained, load_toml
+from daq.tables import at, explained, load_toml, text_in
 from daq.words import say
 
 LARGEST_OFFSET_K, SMALLEST_GAIN, LARGEST_GAIN = 50.0, 0.8, 1.25
@@ -63,7 +63,7 @@ def _entry(path: Path, number: int, table: object) -> Calibration:
 
 def append_calibrations(path: Path, entries: Iterable[Calibration]) -> None:
     """Add entries to the file's end, or leave it as it was."""
-    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    before = text_in(path) if path.exists() else ""
     text = before + "".join(_written(entry) for entry in entries)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(path.suffix + ".part")

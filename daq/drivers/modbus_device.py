@@ -9,8 +9,9 @@ import time
 from daq.drivers import modbus
 from daq.drivers.bus import Bus, Exchange, LineTiming, TakeReply
 from daq.drivers.decode import Sample, decode
-from daq.drivers.profile import Profile, Scaling, Write
+from daq.drivers.profile import Profile, Write
 from daq.drivers.protocol import Cause, NoReply
+from daq.drivers.settings import LoggerSettings
 from daq.records import InputError
 from daq.words import say
 
@@ -21,16 +22,7 @@ class ModbusDevice:
     """One station. Asks for the same registers in the same shape every time, or in two by turns."""
 
     def __init__(
-        self,
-        bus: Bus,
-        profile: Profile,
-        *,
-        station: int,
-        timing: LineTiming,
-        scaling: Scaling,
-        used: tuple[int, ...],
-        cold_junction: float | None = None,
-        local_echo: bool = False,
+        self, bus: Bus, profile: Profile, *, station: int, timing: LineTiming, settings: LoggerSettings
     ) -> None:
         if profile.block is None:
             raise InputError(say("profile-table-missing", profile=profile.name, table="block"))
@@ -38,10 +30,10 @@ class ModbusDevice:
         self.timing = timing
         self._profile = profile
         self._station = station
-        self._scaling = scaling
-        self._used = used
-        self._cold_junction = cold_junction
-        self._local_echo = local_echo
+        self._scaling = profile.scalings[settings.scaling or profile.scaling or ""]
+        self._used = settings.used
+        self._cold_junction = settings.cold_junction_C
+        self._local_echo = settings.local_echo
         block = profile.block
         functions = (block.function, block.alternate or block.function)
         self._blocks = itertools.cycle([modbus.Request(f, block.address, block.count) for f in functions])

@@ -40,15 +40,8 @@ def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogge
     if settings.calibration is not None and not uncorrected(settings):
         today = datetime.now(UTC).date()
         correct = corrector(read_calibrations(settings.calibration), settings.channels, today)
-    return PolledLogger(
-        _device(settings, profile, bus),
-        settings.channels,
-        stale_after_s=settings.stale_after_s or profile.timing.stale_after_s,
-        age_s=profile.timing.age_s,
-        correct=correct,
-        simulated=settings.simulated,
-        release=release_bus,
-    )
+    device = _device(settings, profile, bus)
+    return PolledLogger(device, settings, profile.timing, correct=correct, release=release_bus)
 
 
 def uncorrected(settings: LoggerSettings) -> Message | None:
@@ -130,21 +123,11 @@ def line_timing_of(settings: LoggerSettings, profile: Profile) -> LineTiming:
 def _device(settings: LoggerSettings, profile: Profile, bus: Bus) -> Device:
     timing = line_timing_of(settings, profile)
     station = settings.address if settings.address is not None else profile.address
-    used = tuple(k for k, name in enumerate(settings.channels) if name)
     if profile.protocol == "modbus":
-        return ModbusDevice(
-            bus,
-            profile,
-            station=station or 0,
-            timing=timing,
-            scaling=profile.scalings[settings.scaling or profile.scaling or ""],
-            used=used,
-            cold_junction=settings.cold_junction_C,
-            local_echo=settings.local_echo,
-        )
+        return ModbusDevice(bus, profile, station=station or 0, timing=timing, settings=settings)
     if profile.protocol == "dcon":
         guarded = bool(settings.checksum)
         return DconDevice(bus, profile, station=station or 0, timing=timing, with_checksum=guarded)
     if profile.protocol == "scpi":
-        return ScpiDevice(bus, profile, timing=timing, used=used)
-    return Sr630Device(bus, profile, timing=timing, used=used)
+        return ScpiDevice(bus, profile, timing=timing, used=settings.used)
+    return Sr630Device(bus, profile, timing=timing, used=settings.used)

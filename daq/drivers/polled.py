@@ -9,7 +9,9 @@ from typing import Protocol
 
 from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.decode import Sample
+from daq.drivers.profile import Timing
 from daq.drivers.protocol import Cause, NoReply, ReadFailure
+from daq.drivers.settings import LoggerSettings
 from daq.records import Channel, Quality, Reading
 from daq.words import say, spoken
 
@@ -75,20 +77,18 @@ class PolledLogger:
     def __init__(
         self,
         device: Device,
-        names: tuple[str, ...],
+        settings: LoggerSettings,
+        timing: Timing,
         *,
-        stale_after_s: float,
-        age_s: float = 0.0,
         correct: Correct | None = None,
-        simulated: bool = False,
         release: Callable[[Bus], None],
     ) -> None:
         self._device = device
-        self._used = tuple(k for k, name in enumerate(names) if name)
-        self._channels = tuple(Channel(name, age_s=age_s) for name in names if name)
-        self._standstill = Standstill(stale_after_s)
+        self._used = settings.used
+        self._channels = tuple(Channel(settings.channels[k], age_s=timing.age_s) for k in self._used)
+        self._standstill = Standstill(settings.stale_after_s or timing.stale_after_s)
         self._correct = correct
-        self._simulated = simulated
+        self._simulated = settings.simulated
         self._release: Callable[[Bus], None] | None = release
         self._ready_for = 0
         self._failures = 0

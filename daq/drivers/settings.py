@@ -63,6 +63,11 @@ class LoggerSettings(BaseModel):
     override: dict[str, Any] = Field(default_factory=dict)
     """Profile tables to change or complete, in the profile's own vocabulary."""
 
+    @property
+    def used(self) -> tuple[int, ...]:
+        """The inputs that have a name."""
+        return tuple(k for k, name in enumerate(self.channels) if name)
+
     @model_validator(mode="after")
     def _wired(self) -> LoggerSettings:
         if (self.port is None) == (self.host is None):

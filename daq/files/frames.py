@@ -119,8 +119,8 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     Raises
     ------
     InputError
-        For times that do not rise, names that come twice, values that no channel has, complex numbers, labels of
-        several levels, or a key of ``attrs`` that is no text: column and row are named.
+        For times that do not rise, names that come twice, values that no channel has, complex numbers, labels or
+        times of several levels, or a key of ``attrs`` that is no text: column and row are named.
 
     Examples
     --------
@@ -203,6 +203,9 @@ def _times_in(name: str, frame: pd.DataFrame) -> pd.Series[Any]:
     """Return a table's times as they stand there."""
     if frame.empty:
         raise InputError(say("frame-without-rows", run=name))
+    if TIME not in frame.columns and frame.index.nlevels > 1:
+        levels = tuple("?" if level is None else str(level) for level in frame.index.names)
+        raise InputError(say("frame-index-levels", run=name, levels=frame.index.nlevels, names=levels))
     times = frame[TIME] if TIME in frame.columns else frame.index.to_series(name=frame.index.name)
     return times.infer_objects()
 
@@ -215,7 +218,9 @@ def _times(name: str, frame: pd.DataFrame, times: pd.Series[Any], keys: dict[str
         return np.asarray(times.dt.total_seconds(), float)
     if times.name == TIME:
         return _numbers(name, times, numbers=_holds_numbers(times))
-    raise InputError(say("frame-without-times", run=name, columns=tuple(str(c) for c in frame.columns[:8])))
+    remedy = say("frame-times-of-periods") if isinstance(times.dtype, pd.PeriodDtype) else say("frame-times-here")
+    columns = tuple(str(c) for c in frame.columns[:8])
+    raise InputError(say("frame-without-times", run=name, columns=columns, remedy=remedy))
 
 
 def _seconds(name: str, instants: pd.DatetimeIndex, keys: dict[str, Any]) -> Array:

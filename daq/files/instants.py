@@ -52,8 +52,9 @@ def _plain(value: Any) -> Any:
 
 
 def from_json(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a header's keys with the instants of a recorder read from their ISO text; other texts stay."""
-    return {key: _instant(value) if key.startswith(_RECORDED) else value for key, value in header.items()}
+    """Return a header's keys with a recorder's instants read from their ISO text, and numbers as Python's own."""
+    numbers = {key: value.item() if isinstance(value, np.generic) else value for key, value in header.items()}
+    return {key: _instant(value) if key.startswith(_RECORDED) else value for key, value in numbers.items()}
 
 
 def _instant(value: Any) -> Any:

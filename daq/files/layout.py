@@ -33,6 +33,8 @@ class Layout:
     """Whether the times stood in the index, not in a column."""
     index: Any
     """The index' name."""
+    freq: Any
+    """How far apart the instants or durations of its index are, where pandas knows them to be even."""
     first: pd.Timestamp | None
     """The first of instants without a zone, which no header tells."""
     rows: pd.Index
@@ -73,7 +75,9 @@ def layout_of(frame: pd.DataFrame, times: pd.Series[Any], run: Run) -> Layout:
     counts = isinstance(frame.index, pd.RangeIndex) and frame.index.equals(pd.RangeIndex(len(frame)))
     labels = None if in_index or (counts and frame.index.name is None) else frame.index
     first = times.iloc[0] if naive else None
+    timed = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
     places = {"in_index": in_index, "index": frame.index.name, "rows": pd.Index(run.time_s), "labels": labels}
+    places |= {"freq": frame.index.freq if timed else None}
     return _made({"kinds": kinds, "first": first, "heads": frame.columns.name, "kept": kept} | places)
 
 
@@ -114,12 +118,24 @@ def with_index(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
     """Return a run's table with its times where the layout has them, as instants, durations or seconds."""
     times = _times(run, layout)
     if layout.in_index:
-        return frame.set_index(times.rename(layout.index))
+        return frame.set_index(_evenly(times, layout.freq).rename(layout.index))
     placed = frame.reset_index(drop=True)
     columns = list(layout.kinds)
     placed.insert(min(columns.index(TIME), placed.shape[1]), TIME, times)
     places = layout.places(run.time_s)
-    return placed if layout.labels is None or places is None else placed.set_index(layout.labels.take(places))
+    if layout.labels is None or places is None:
+        return placed
+    return placed.set_index(_evenly(layout.labels.take(places), layout.freq))
+
+
+def _evenly(times: pd.Index, freq: Any) -> pd.Index:
+    """Return times that know how far apart they are, where they are so still."""
+    if freq is None or not isinstance(times, pd.DatetimeIndex | pd.TimedeltaIndex):
+        return times
+    try:
+        return type(times)(times, freq=freq)
+    except ValueError:
+        return times
 
 
 def _times(run: Run, layout: Layout) -> pd.Index:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from daq.records import InputError
-from daq.tables import at
+from daq.tables import at, text_in
 from daq.words import say
 
 NAME = "SHA256SUMS"
@@ -42,7 +42,7 @@ def _listed(folder: Path) -> dict[str, str]:
     if not manifest.is_file():
         return {}
     sums = {}
-    for number, line in enumerate(manifest.read_text(encoding="utf-8").split("\n"), start=1):
+    for number, line in enumerate(text_in(manifest).split("\n"), start=1):
         value, mark, name = line.partition("  ")
         if line and (not mark or len(value) != 64):
             raise InputError(at(manifest, say("manifest-line"), line=number))

@@ -47,7 +47,7 @@ import csv
 import fnmatch
 import math
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,7 +61,7 @@ from daq.press.header import check_header
 from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run
 from daq.tables import at, explained, load_toml, reason_of
 from daq.thermocouple import celsius_of
-from daq.words import say
+from daq.words import Message, say
 
 _DELIMITERS = {"tab": "\t", "space": " "}
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
@@ -182,20 +182,22 @@ def read_mapping(path: Path) -> Mapped:
         mapped = Mapped.model_validate(load_toml(path, say("file-of-mapping")))
     except ValidationError as error:
         raise InputError(at(path, explained(error, Mapped))) from error
+    for said in _contradictions(mapped):
+        raise InputError(at(path, said))
+    return mapped
+
+
+def _contradictions(mapped: Mapped) -> Iterator[Message]:
+    """Yield what names a column, or a variant, that is not there or there twice."""
     sources = [c.to for c in mapped.column]
     targets = [*sources, *(c.to for c in mapped.computed)]
-    if twice := next((t for t in targets if targets.count(t) > 1), None):
-        raise InputError(at(path, say("mapping-target-twice", column=twice)))
-    for computed in mapped.computed:
-        if unknown := next((name for name in computed.terms if name not in sources), None):
-            raise InputError(at(path, say("mapping-term-unknown", to=computed.to, column=unknown)))
-    for key, source in mapped.header_from.items():
-        if source.column not in targets:
-            raise InputError(at(path, say("mapping-header-source", key=key, column=source.column)))
-    for of in mapped.required_variants:
-        if of not in {variant.of for variant in mapped.variant}:
-            raise InputError(at(path, say("mapping-variant-of-nothing", of=of)))
-    return mapped
+    yield from (say("mapping-target-twice", column=t) for t in targets if targets.count(t) > 1)
+    terms = [(computed.to, name) for computed in mapped.computed for name in computed.terms]
+    yield from (say("mapping-term-unknown", to=to, column=name) for to, name in terms if name not in sources)
+    asked = [(key, source.column) for key, source in mapped.header_from.items()]
+    yield from (say("mapping-header-source", key=k, column=name) for k, name in asked if name not in targets)
+    known = {variant.of for variant in mapped.variant}
+    yield from (say("mapping-variant-of-nothing", of=of) for of in mapped.required_variants if of not in known)
 
 
 def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -> Run:
@@ -228,10 +230,7 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
     if first is None:
         raise InputError(at(path, say("foreign-no-rows", line=names.line)))
     columns = {column.to: np.frombuffer(values) for column, (values, _) in kept.items()}
-    for computed in mapped.computed:
-        if all(name in columns for name in computed.terms):
-            shares = [weight * columns[name] for name, weight in computed.terms.items()]
-            columns[computed.to] = computed.offset + np.sum(shares, axis=0)
+    columns |= _computed(columns, mapped.computed)
     header: dict[str, Any] = {"run": path.stem, **_start(path, first, names.cells, mapped), **mapped.header}
     header |= _variants(path, mapped)
     for key, source in mapped.header_from.items():
@@ -239,6 +238,15 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
             header[key] = _value_at(path, key, columns.get(source.column, np.empty(0)), source)
     check_header(header, path)
     return Run(str(header["run"]), header, np.frombuffer(times), columns, str(path))
+
+
+def _computed(columns: Mapping[str, Array], tables: Iterable[ComputedTable]) -> dict[str, Array]:
+    """Return the columns that are sums of those there are."""
+    return {
+        one.to: one.offset + np.sum([weight * columns[name] for name, weight in one.terms.items()], axis=0)
+        for one in tables
+        if all(name in columns for name in one.terms)
+    }
 
 
 def _variants(path: Path, mapped: Mapped) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from daq.files.run_rows import (
 )
 from daq.press.header import check_header
 from daq.records import Array, InputError, Run
-from daq.tables import at, read_toml, reason_of
+from daq.tables import LARGEST_BYTES, at, read_toml, reason_of
 from daq.words import say, spoken
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -58,8 +58,6 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 _MOST_BLANKS = 1 << 16
 """A file that begins with more blanks and empty lines than that is empty. [bytes]"""
-_LONGEST_LINE = 1 << 24
-"""Of a header; beyond that it is no run file. [bytes]"""
 _ROWS_AT_ONCE = 1 << 16
 """Rows written, or read from Parquet, in one piece."""
 
@@ -219,7 +217,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[dict[str, Any], list[str],
     """Return the keys, the columns' names, and where the rows begin."""
     header: dict[str, Any] = {}
     line = 1
-    while found := file.readline(_LONGEST_LINE):
+    while found := file.readline(LARGEST_BYTES):
         raw = found.strip()
         if raw and not raw.startswith(b"#"):
             names = _column_names(path, line, utf8_line(str(path), line, found.removesuffix(b"\n")))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -152,6 +152,12 @@ class PressEventDetector:
         self._lifted: tuple[float, float, float] | None = None
         self.disagreement: Message | None = None
         """Why wire and temperatures contradict each other, for the journal; None while they agree."""
+
+    def looks_at(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return those columns that tell it anything: faces, platens and wires."""
+        top, bottom = self._columns.of_face(names)
+        known = {*top, *bottom, *self._columns.platens, *self.wires.columns}
+        return tuple(name for name in names if name in known)
 
     @property
     def state(self) -> PressState | None:

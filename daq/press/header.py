@@ -13,8 +13,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from daq.given import number_of
 from daq.materials import MATERIALS, Constant, find_material
 from daq.press.press_file import SD, Press
+from daq.printed import quoted
 from daq.records import InputError, Nonphysical, Panel, Run
 from daq.tables import at, nearest
 from daq.words import Message, say
@@ -91,9 +93,9 @@ def check_header(header: Mapping[str, Any], place: object) -> None:
         elif key in LIMITS and value is not None:
             checked_number(key, value, place)
         elif key == VERDICT and value not in (*VERDICTS, None):
-            raise InputError(at(place, say("header-verdict", key=key, value=repr(value), known=VERDICTS)))
+            raise InputError(at(place, say("header-verdict", key=key, value=quoted(value), known=VERDICTS)))
         elif key.startswith(_RECKONED) and isinstance(value, float) and not math.isfinite(value):
-            raise Nonphysical(at(place, say("header-not-finite", key=key, value=repr(value))))
+            raise Nonphysical(at(place, say("header-not-finite", key=key, value=quoted(value))))
 
 
 def checked_table(key: str, value: Sequence[Any], place: object) -> tuple[tuple[float, float], ...]:
@@ -105,7 +107,7 @@ def checked_table(key: str, value: Sequence[Any], place: object) -> tuple[tuple[
         For anything else.
     """
     if not value or not all(isinstance(row, list | tuple) and len(row) == 2 for row in value):
-        raise InputError(at(place, say("header-table-rows", key=key, value=repr(value))))
+        raise InputError(at(place, say("header-table-rows", key=key, value=quoted(value))))
     rows = [(checked_number(TEMPERATURE, t, place), checked_number(key, v, place)) for t, v in value]
     if any(after <= before for (before, _), (after, _) in itertools.pairwise(rows)):
         raise InputError(at(place, say("header-table-not-rising", key=key)))
@@ -115,12 +117,12 @@ def checked_table(key: str, value: Sequence[Any], place: object) -> tuple[tuple[
 def checked_number(key: str, value: object, place: object) -> float:
     """Return a header's number. Raises `Nonphysical` for what is none, or lies outside its limits."""
     limits = LIMITS[key]
-    number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    number = number_of(value)
     if not limits.lower <= number <= limits.upper:
         said = say(
             "header-number-outside",
             key=key,
-            value=repr(value),
+            value=quoted(value),
             lower=limits.lower,
             upper=limits.upper,
             unit=limits.unit,
@@ -208,9 +210,8 @@ def _meant(key: str) -> str | None:
 
 
 def _check_sd(key: str, value: object, place: object) -> None:
-    number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
-    if not 0.0 < number < math.inf:
-        raise InputError(at(place, say("header-sd-not-positive", key=key, value=repr(value))))
+    if not 0.0 < number_of(value) < math.inf:
+        raise InputError(at(place, say("header-sd-not-positive", key=key, value=quoted(value))))
 
 
 def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:

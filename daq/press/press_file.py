@@ -17,8 +17,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from daq.printed import in_notebook
 from daq.records import COLDEST_C, HOTTEST_C, KEYS_SHOWN, InputError, Run
-from daq.tables import at, explained, read_toml, reason_of
+from daq.tables import at, explained, read_toml, reason_of, text_in
 from daq.words import Message, say, spoken
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -195,12 +196,18 @@ class Contact(Table):
     load: Load | None = None
 
 
+HEAT_TRANSFER = (1e-3, 1e9)
+"""What a heat transfer coefficient can be: from a metre of evacuated powder (about 0.001 W/mK) to solids that
+touch everywhere (1e7 to 1e9; Swartz & Pohl, Rev. Mod. Phys. 61, 605, 1989). [W/m²K]"""
+HeatTransfer = Annotated[Number, Field(ge=HEAT_TRANSFER[0], le=HEAT_TRANSFER[1])]
+
+
 class CoefficientTable(Table):
     """``[coefficients.NAME]``: a heat transfer coefficient. [W/m²K]"""
 
-    guess: Positive = 100.0
-    lower: Positive = 0.1
-    upper: Positive = 100000.0
+    guess: HeatTransfer = 100.0
+    lower: HeatTransfer = 0.1
+    upper: HeatTransfer = 100000.0
     fixed: Yes = False
 
     @model_validator(mode="after")
@@ -218,7 +225,7 @@ class CoefficientTable(Table):
 class Prior(Table):
     """``[priors.NAME]``: what is known of a coefficient before any run is seen; log-normal."""
 
-    median: Positive
+    median: HeatTransfer
     factor: Number = Field(gt=1.0)
     """Two in three values lie between median / factor and median x factor."""
 
@@ -308,11 +315,14 @@ class Press(Table):
         """Return on one screen which press it is: its chain, its coefficients, where its sensors sit."""
         guesses = [f"{name} = {c.guess:g} ({c.lower:g} .. {c.upper:g})" for name, c in self.coefficients.items()]
         places = [f"{sensor.label}: {', '.join(sensor.columns)}" for sensor in self.sensor]
-        lines = [f"Press {self.name}: {', '.join(self.chain)}", *guesses, *places]
+        lines = [str(say("printed-press", press=self.name, chain=self.chain)), *guesses, *places]
         shown = [textwrap.shorten(line, 300, placeholder=" ...") for line in lines[:KEYS_SHOWN]]
         return "\n".join([*shown, *(["..."] if len(lines) > len(shown) else [])])
 
     __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return in_notebook(self)
 
     @property
     def name(self) -> str:
@@ -498,7 +508,7 @@ def parse_press(text: str, source: str | Message = "press file") -> Press:
 def read_press(path: Path) -> Press:
     """Read and check a press file. Raises `InputError`."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_in(path)
     except (OSError, UnicodeDecodeError) as error:
         said = say("file-cannot-read", what=say("file-of-press"), reason=reason_of(error))
         raise InputError(at(path, said)) from error

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from daq.press.press_file import Number, Positive, Share, Table, Yes, with_sd
 from daq.records import COLDEST_C, HOTTEST_C, InputError
-from daq.tables import at, explained, read_toml, reason_of
+from daq.tables import at, explained, read_toml, reason_of, text_in
 from daq.words import say, spoken
 
 REFERENCE_C = 140.0
@@ -211,7 +211,7 @@ def parse_resin(text: str, source: str = "resin file") -> Resin:
 def read_resin(path: Path) -> Resin:
     """Read and check a resin file. Raises `InputError`."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_in(path)
     except (OSError, UnicodeDecodeError) as error:
         said = say("file-cannot-read", what=say("file-of-resin"), reason=reason_of(error))
         raise InputError(at(path, said)) from error

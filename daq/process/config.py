@@ -39,7 +39,7 @@ from daq.press.press_file import Press, overridden, read_press
 from daq.press.resin_file import read_resin
 from daq.press.wires import CLOSED, Wires
 from daq.records import InputError
-from daq.tables import at, explained, load_toml, unknown_key
+from daq.tables import at, explained, load_toml, text_in, unknown_key
 from daq.words import Message, say
 
 HeaderValue = str | bool | int | float | list[Any]
@@ -246,7 +246,7 @@ def load_config(path: Path, unsound: dict[str, InputError] | None = None) -> Con
         tree = load_toml(path, say("file-of-configuration"))
         if own := {"text", "path"} & set(tree):
             raise InputError(at(path, say("at-key", key=min(own), what=unknown_key(min(own), ()))))
-        config = Config.model_validate({**tree, "text": path.read_text(encoding="utf-8"), "path": path})
+        config = Config.model_validate({**tree, "text": text_in(path), "path": path})
     except ValidationError as error:
         raise InputError(at(path, explained(error, Config))) from error
     config = config.model_copy(update={"text": text_without(config.text, config.store.url)})

@@ -7,7 +7,7 @@ import threading
 
 
 def stop_on_signals(stop: threading.Event) -> None:
-    """Set `stop` on SIGTERM, SIGINT or Ctrl-Break, outlive SIGHUP; outside the main thread do nothing.
+    """Set `stop` on SIGTERM, SIGINT or Ctrl-Break, outlive others; outside the main thread do nothing.
 
     A handler runs between two steps of the main thread, which may be inside ``stop.wait`` and hold the event's
     own lock: a handler that waits for that lock waits for ever. So a thread of its own sets the event.
@@ -21,6 +21,11 @@ def stop_on_signals(stop: threading.Event) -> None:
 
 
 def outlive_hangup() -> None:
-    """Go on after SIGHUP: a closed terminal, or somebody's wish to reload; changed files are noticed anyway."""
-    if hasattr(signal, "SIGHUP") and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    """Go on after SIGHUP, SIGUSR1 and SIGUSR2: a closed terminal, or somebody's wish to reload or to rotate logs.
+
+    Changed files are noticed anyway.
+    """
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGHUP", "SIGUSR1", "SIGUSR2"):
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)

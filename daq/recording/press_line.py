@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger, uncorrected
 from daq.press.events import PressEventDetector, columns_of
@@ -27,6 +27,7 @@ from daq.store import PressKey, Store, StoreUnavailable
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
 from daq.supervision import SupervisedThread
+from daq.tables import text_in
 from daq.words import Message, say
 
 LOG = logging.getLogger("kerntemp.record")
@@ -72,7 +73,7 @@ def plan_of(settings: LoggerSettings) -> LoggerPlan:
 
 
 def _text(path: Path | None) -> str:
-    return "" if path is None or not path.is_file() else path.read_text(encoding="utf-8")
+    return "" if path is None or not path.is_file() else text_in(path)
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,17 @@ class _Change:
     """By name, the loggers that are new or differ."""
 
 
+class Shared(NamedTuple):
+    """What all presses of a recorder have in common."""
+
+    store: Store
+    outbox: Outbox
+    speed: float
+    """Of the clock; 1 but on a virtual press."""
+    journal: Journal
+    stop: threading.Event
+
+
 class PressLine:
     """One press: scans by the schedule, events, runs."""
 
@@ -92,13 +104,10 @@ class PressLine:
         settings: PressSettings,
         text: str,
         loggers: Sequence[DataLogger],
-        store: Store,
-        outbox: Outbox,
-        speed: float,
-        journal: Journal,
-        stop: threading.Event,
+        shared: Shared,
     ) -> None:
         self.settings = settings
+        store, outbox, speed, journal, stop = shared
         self._outbox, self._stop, self._journal, self._speed = outbox, stop, journal, speed
         self._detector = PressEventDetector(press_of(settings))
         self._newest: Scan | None = None
@@ -110,7 +119,7 @@ class PressLine:
         self._fresh_s = time.monotonic()
         self._clock = ClockWatch(speed)
         self._changed: _Change | None = None
-        self._press_file = settings.file.read_text(encoding="utf-8")
+        self._press_file = text_in(settings.file)
         self._plans = tuple(plan_of(x) for x in settings.logger)
         threads = [self._thread_of(x, logger) for x, logger in zip(settings.logger, loggers, strict=True)]
         channels = _channels(threads, self._detector.wires)
@@ -174,7 +183,7 @@ class PressLine:
         if self._changed is None or self._keeper.open_run is not None:
             return
         change, self._changed = self._changed, None
-        press_file = change.settings.file.read_text(encoding="utf-8")
+        press_file = text_in(change.settings.file)
         if (press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
             self._press_file = press_file
             self._detector = PressEventDetector(press_of(change.settings))

@@ -21,6 +21,9 @@ disk full                      ``disk is full; free space on the disk; recording
 disk read-only                 ``unable to open ...; check that the folder exists, may be written, and its disk is
                                not mounted read-only`` or ``no permission to write; check owner and mount`` (alarm)
 buffer's disk full too         ``buffer ...; free space on its disk; scans wait in memory`` (alarm)
+buffer unusable at the start   ``buffer ...: ...; check its disk and folder, or give another file as buffer of
+                               [store]; recording goes on, but while the store is away scans wait in
+                               memory`` (alarm)
 room used up                   ``N scans lost: the store was unreachable for longer than there was room``
                                (problem in /health)
 store of a newer version       ``made by a newer version (schema X, this version knows Y); update Kerntemp or give
@@ -73,7 +76,7 @@ from daq.drivers import open_logger
 from daq.process.config import Config, load_config, press_of
 from daq.process.notify import Notifier
 from daq.process.stopping import stop_on_signals
-from daq.recording.press_line import Journal, Level, PressLine
+from daq.recording.press_line import Journal, Level, PressLine, Shared
 from daq.records import InputError
 from daq.store import Store, StoreUnavailable, open_store
 from daq.store.file_rescue import damage_of
@@ -129,8 +132,8 @@ def record(
             outbox.put(Entry(level, PROCESS, message, press, detail or None))
 
         outbox = _outbox(config, store, journal, acknowledged)
-        shared = store, outbox, config.clock.speed, journal, stop
-        lines = [PressLine(one, config.text, loggers[one.name], *shared) for one in config.press]
+        shared = Shared(store, outbox, config.clock.speed, journal, stop)
+        lines = [PressLine(one, config.text, loggers[one.name], shared) for one in config.press]
         outbox.start()
         for line in lines:
             line.start()

@@ -6,6 +6,7 @@ numbers are noted) and ends some seconds after its removal.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from datetime import datetime
 from statistics import median
 from typing import Any
 
+from daq.press.detector import HAND_C
 from daq.press.moments import BEFORE_S
 from daq.records import PressEvent, PressEventKind, Scan
 from daq.store.records import NewRun, RunEnd, RunStatus
@@ -74,6 +76,8 @@ class _Seen:
     monotonic_s: float
     scan: Scan
     panel_celsius: float
+    warmest_celsius: float
+    """Of the panel's sensors but one, which may be broken."""
 
 
 Change = tuple[NewRun | None, RunEnd | None]
@@ -158,21 +162,22 @@ class RunKeeper:
             return None
         first = next((s for s in free if s.monotonic_s >= early), free[-1])
         settled = [
-            s.panel_celsius
+            s
             for s in self._recent
             if event.monotonic_s - _SETTLED_S <= s.monotonic_s < event.monotonic_s - BEFORE_S
             and s.panel_celsius == s.panel_celsius
-        ]
+        ][-_SETTLED_SCANS:]
+        lay_there = at_closing and any(s.warmest_celsius > HAND_C for s in settled)  # before recording began
         header = dict(self.rules.header)
-        if settled:
-            header.setdefault("panel.initial_temperature_C", round(median(settled[-_SETTLED_SCANS:]), 2))
+        if settled and not lay_there:
+            header.setdefault("panel.initial_temperature_C", round(median(s.panel_celsius for s in settled), 2))
         name = self._names.take(first.scan.utc)
         return NewRun(name, first.number, first.scan.utc, first.monotonic_s, header, self.rules.configuration)
 
     def _remember(self, scan: Scan) -> None:
-        usable = [scan.values[i] for i in self._places if scan.qualities[i].usable]
-        level = median(usable) if usable else float("nan")
-        self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level))
+        usable = sorted(scan.values[i] for i in self._places if scan.qualities[i].usable)
+        level, warmest = (median(usable), usable[-2:][0]) if usable else (math.nan, math.nan)
+        self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level, warmest))
         keep = max(self.rules.pre_trigger_s, UNSEEN_S) + self.rules.post_removal_s + _SPARE_S
         while self._recent[0].monotonic_s < scan.monotonic_s - keep:
             self._recent.popleft()

@@ -31,26 +31,15 @@ _FLOW = (_XON + _XOFF).decode()
 
 
 class AdamModule:
-    """``#AA`` and ``$AA...`` as ADAM-4000 and I-7000 modules answer them."""
+    """``#AA`` and ``$AA...`` as ADAM-4000 and I-7000 modules answer them, checksums on."""
 
-    def __init__(
-        self,
-        converter: Converter,
-        *,
-        station: int = 1,
-        guarded: bool = False,
-        name: str = "4118",
-        lowest: float = 0.0,
-        highest: float = 1370.0,
-        think_s: float = 0.001,
-    ) -> None:
+    def __init__(self, converter: Converter, *, station: int, name: str, lowest: float, highest: float) -> None:
         self.converter = converter
         self.switches = converter.switches
         self._at = f"{station:02X}"
-        self._guarded = guarded
         self._name = name
         self._range = (lowest, highest)
-        self.think_s = think_s
+        self.think_s = 0.001
 
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one command off the front of the buffer."""
@@ -61,14 +50,13 @@ class AdamModule:
         if self.switches.silent:
             return None
         text = request.decode("latin-1")
-        if self._guarded:
-            if _sum(text[:-2]) != text[-2:]:
-                return None
-            text = text[:-2]
+        if _sum(text[:-2]) != text[-2:]:
+            return None
+        text = text[:-2]
         if not re.match(r"[#$]", text) or text[1:3] != self._at:
             return None
         reply = f"?{self._at}" if self.switches.busy else self._reply(text[0], text[3:])
-        return (reply + (_sum(reply) if self._guarded else "") + "\r").encode("latin-1")
+        return (reply + _sum(reply) + "\r").encode("latin-1")
 
     def _reply(self, kind: str, command: str) -> str:
         values = self.converter.read()
@@ -80,7 +68,7 @@ class AdamModule:
             return f"?{self._at}"
         enabled = sum(1 << k for k in range(len(values)) if k not in self.switches.disabled_inputs)
         answers = {
-            "2": f"0F06{0x40 if self._guarded else 0:02X}",
+            "2": "0F0640",
             "M": self._name,
             "F": "A1.00",
             "3": f"{COLD_JUNCTION_C:+07.1f}",

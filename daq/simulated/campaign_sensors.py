@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -150,7 +150,8 @@ def measure(
             offset, gain = rng.normal(0.0, [nuisances.offset_K, nuisances.gain])
             face = common.get(name.partition("_")[0], 0.0)
             noise = coloured(rng, n, step, 10.0, channel_sd) + rng.normal(0.0, nuisances.white_K, n) + face
-        true = _faulty(name, true, times, chain.faults, ambient, step, rng)
+        own = [fault for fault in chain.faults if fault.column == name and fault.kind != "swapped"]
+        true = _faulty(true, times, own, ambient, step, rng)
         columns[name] = true + offset + gain * (true - 23.0) + noise
     for fault in chain.faults:
         if fault.kind == "swapped":
@@ -159,17 +160,14 @@ def measure(
 
 
 def _faulty(
-    name: str,
     true: Array,
     times: Array,
-    faults: tuple[Fault, ...],
+    faults: Sequence[Fault],
     ambient: float,
     step: float,
     rng: np.random.Generator,
 ) -> Array:
     for fault in faults:
-        if fault.column != name or fault.kind == "swapped":
-            continue
         since = np.clip(times - fault.start_s, 0.0, None)
         if fault.kind == "drifting":
             true = true + fault.size * since

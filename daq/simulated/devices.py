@@ -49,7 +49,7 @@ def _labjack_setup(address: int) -> bool:
 
 def _adam(name: str, lowest: float, highest: float) -> Any:
     def build(converter: Converter, station: int, tcp: bool) -> Station:
-        return AdamModule(converter, station=station, guarded=True, name=name, lowest=lowest, highest=highest)
+        return AdamModule(converter, station=station, name=name, lowest=lowest, highest=highest)
 
     return build
 

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.records import Array, Panel
+from daq.records import Array
 from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics_mesh import Accuracy, build_knobs, build_mesh, first_state
 from daq.simulated.physics_pressing import EASING_S, Pressing
 
 _STEPPING = {"fast": (1e-3, 0.5), "accurate": (1e-5, 0.1)}
-"""Local error of a step [K] and longest step [s]."""
+"""Local error of a step [K] and longest step [s]: of `Stepping`."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,15 @@ def solve(pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, 
     """
     mesh = build_mesh(pressing, accuracy)
     knobs, y = build_knobs(pressing, mesh), first_state(pressing, mesh, plates)
-    tolerance, longest = _STEPPING[accuracy]
-    rows = 4000 + int(8 * (pressing.end - pressing.start) / longest)
+    how = kernel.Stepping(*_STEPPING[accuracy])
+    rows = 4000 + int(8 * (pressing.end - pressing.start) / how.longest)
     out = np.empty((rows, 1 + len(kernel.SIGNALS)))
     last, bounds = 0, [0]
     for a, b in itertools.pairwise(_breakpoints(pressing)):
-        last = kernel.advance(a, b, y, knobs, mesh.stack, tolerance, longest, out, last)
-        if last < 0:
+        written = kernel.advance((a, b), y, knobs, mesh.stack, how, out[last:])
+        if written < 0:
             raise RuntimeError(f"virtual press: more than {rows} steps up to {b:g} s")
+        last += written
         bounds.append(last)
     steps = {name: out[:last, i].copy() for i, name in enumerate(("time", *kernel.SIGNALS))}
     return Solution(steps, np.array(bounds), (y.T[: mesh.stack.lower + 1], y.T[mesh.stack.upper :]))
@@ -86,8 +87,3 @@ def _breakpoints(pressing: Pressing) -> list[float]:
     ]  # fmt: skip
     inside = sorted({t for t in jumps if pressing.start + 1e-6 < t < pressing.end - 1e-6})
     return [pressing.start, *inside, pressing.end]
-
-
-def nominal_panel(thickness: float = 0.016, initial_temperature: float = 20.8) -> Panel:
-    """Return an MDF panel with the constants of the contract's example."""
-    return Panel("MDF", thickness, 740.0, 0.12, 1550.0, initial_temperature, 8.0)

@@ -175,6 +175,55 @@ class State(NamedTuple):
     """Cure of the lower and the upper face, heat from outside [J/m²], lower and upper thermocouple."""
 
 
+class At(NamedTuple):
+    """A time, and a time inside the stretch between two jumps that it belongs to, which decides what is on."""
+
+    t: float
+    middle: float
+
+
+class Flow(NamedTuple):
+    """Conductances below each node, and what each node loses to ambient; `links` fills them."""
+
+    g: Array
+    loss: Array
+
+
+class Matrix(NamedTuple):
+    """1/(γh) - J, its tridiagonal part eliminated; evaporation is folded into the pivots."""
+
+    pivot: Array
+    up: Array
+    ratio: Array
+    by_T: Array
+    """Slope of each panel node's drying by its temperature."""
+    by_w: Array
+    heat: Array
+    """Latent heat over heat capacity of each panel node. [K]"""
+
+
+class Step(NamedTuple):
+    """What the matrix of a step rests on beside the state."""
+
+    inverse: float
+    """1/(γh). [1/s]"""
+    inside: bool
+    """Whether a panel is in the press."""
+    moist: bool
+    """Whether it dries."""
+    mix: float
+    """What the thermocouples feel of the plates."""
+
+
+class Stepping(NamedTuple):
+    """How finely `advance` goes."""
+
+    tolerance: float
+    """Of a step's local error. [K]"""
+    longest: float
+    """Step. [s]"""
+
+
 @compiled(inner=True, nogil=True, error_model="numpy")
 def platen(t: float, start: float, step: float, values: Array) -> float:
     """Return a platen's temperature: a Catmull-Rom curve through evenly spaced knots."""
@@ -227,18 +276,15 @@ def present(middle: float, k: Knobs) -> bool:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> float:
-    """Fill conductances below each node and losses to ambient; return the closed fraction.
-
-    `middle` is a time inside the current stretch between two jumps: it decides what is on.
-    """
-    n = T.size
-    f = closed_fraction(t, k) if present(middle, k) else 0.0
+def links(at: At, T: Array, k: Knobs, s: Stack, flow: Flow) -> float:
+    """Fill conductances and losses; return the closed fraction."""
+    n, g, loss = T.size, flow.g, flow.loss
+    f = closed_fraction(at.t, k) if present(at.middle, k) else 0.0
     copy(s.base, g)
     for i in range(n):
         loss[i] = 0.0
     g[0] = g[n] = k.h_p_o + f * (k.h_p_c - k.h_p_o)
-    if not present(middle, k):
+    if not present(at.middle, k):
         g[s.lower + 1] = 0.0
         g[s.upper] = 0.0
         loss[s.lower] = k.h_ap
@@ -250,10 +296,10 @@ def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss:
     if k.k_step != 0.0:
         for i in range(s.first, s.last):
             g[i + 1] *= stepped(0.5 * (T[i] + T[i + 1]), k.k_step, k.k_step_at)
-    if k.split_r > 0.0 and middle > k.split_from:
-        opened = k.split_r * min((t - k.split_from) / 2.0, 1.0)
+    if k.split_r > 0.0 and at.middle > k.split_from:
+        opened = k.split_r * min((at.t - k.split_from) / 2.0, 1.0)
         g[k.split_link] /= 1.0 + opened * g[k.split_link]
-    contacts(t, f, middle, T, k, s, g, loss)
+    contacts(at, f, T, k, s, flow)
     return f
 
 
@@ -275,10 +321,11 @@ def pressed(t: float, k: Knobs) -> float:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def contacts(t: float, f: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> None:
+def contacts(at: At, f: float, T: Array, k: Knobs, s: Stack, flow: Flow) -> None:
     """Fill the links between plates and panel, and what the open faces lose to air."""
-    since = max(t - 0.5 * (k.close_0 + k.close_1), 0.0)
-    grown = k.h_pp_c * pressed(t, k) * (1.0 - k.deficit * np.exp(-since / k.tau))
+    g, loss, middle = flow.g, flow.loss, at.middle
+    since = max(at.t - 0.5 * (k.close_0 + k.close_1), 0.0)
+    grown = k.h_pp_c * pressed(at.t, k) * (1.0 - k.deficit * np.exp(-since / k.tau))
     resting = k.h_pp_o * (k.lift if middle > k.lift_from else 1.0)
     lower, upper = resting + f * (grown - resting), f * grown * k.ratio
     if k.broken != 0.0:
@@ -339,7 +386,7 @@ def steam(f: float, T: Array, k: Knobs, s: Stack, q: Array) -> None:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def sources(t: float, f: float, middle: float, y: State, k: Knobs, s: Stack, d: State) -> float:
+def sources(at: At, f: float, y: State, k: Knobs, s: Stack, d: State) -> float:
     """Add what happens inside the panel to the heat flows `d.T` [W/m²]; return the heat from outside."""
     m, external = s.volume.size, 0.0
     if k.edge > 0.0:
@@ -347,7 +394,7 @@ def sources(t: float, f: float, middle: float, y: State, k: Knobs, s: Stack, d: 
             q = k.edge * s.volume[i] * (y.T[s.first + i] - k.ambient)
             d.T[s.first + i] -= q
             external -= q
-    if k.flash_rate > 0.0 and k.flash_from < middle < k.flash_to:
+    if k.flash_rate > 0.0 and k.flash_from < at.middle < k.flash_to:
         for i in range(m):
             q = k.flash_rate * s.capacity[s.first + i] * max(y.T[s.first + i] - VAPOUR_C, 0.0)
             d.T[s.first + i] -= q
@@ -364,7 +411,7 @@ def sources(t: float, f: float, middle: float, y: State, k: Knobs, s: Stack, d: 
     if k.vapour > 0.0 and f > 0.0:
         steam(f, y.T, k, s, d.T)
     if k.wet_heat > 0.0:
-        a, b = (t - k.wet_release) / k.wet_width, 0.5 * (t - k.wet_return) / k.wet_width
+        a, b = (at.t - k.wet_release) / k.wet_width, 0.5 * (at.t - k.wet_return) / k.wet_width
         power = k.wet_heat * 0.3989422804 / k.wet_width * (np.exp(-0.5 * a * a) - 0.5 * np.exp(-0.5 * b * b))
         for i in range(m):
             d.T[s.first + i] += power * s.wet[i]
@@ -373,11 +420,11 @@ def sources(t: float, f: float, middle: float, y: State, k: Knobs, s: Stack, d: 
 
 
 @compiled(nogil=True, error_model="numpy")
-def slope(t: float, middle: float, y: State, k: Knobs, s: Stack, g: Array, loss: Array, d: State) -> float:
+def slope(at: At, y: State, k: Knobs, s: Stack, flow: Flow, d: State) -> float:
     """Fill the rates of change `d` (and links on the way); return the closed fraction."""
-    T, n = y.T, y.T.size
-    f: float = links(t, middle, T, k, s, g, loss)
-    low, high = platen(t, s.start, s.step, s.low), platen(t, s.start, s.step, s.high)
+    T, n, g, loss = y.T, y.T.size, flow.g, flow.loss
+    f: float = links(at, T, k, s, flow)
+    low, high = platen(at.t, s.start, s.step, s.low), platen(at.t, s.start, s.step, s.high)
     external = g[0] * (low - T[0]) + g[n] * (high - T[n - 1])
     for i in range(n):
         below = T[i - 1] if i > 0 else low
@@ -389,8 +436,8 @@ def slope(t: float, middle: float, y: State, k: Knobs, s: Stack, g: Array, loss:
         d.x[i] = 0.0
     for i in range(d.w.size):
         d.w[i] = 0.0
-    if present(middle, k):
-        external += sources(t, f, middle, y, k, s, d)
+    if present(at.middle, k):
+        external += sources(at, f, y, k, s, d)
     for i in range(n):
         d.T[i] /= s.capacity[i]
     for i in range(s.first, s.last + 1):
@@ -403,25 +450,10 @@ def slope(t: float, middle: float, y: State, k: Knobs, s: Stack, g: Array, loss:
     return f
 
 
-class Matrix(NamedTuple):
-    """1/(γh) - J, its tridiagonal part eliminated; evaporation is folded into the pivots."""
-
-    pivot: Array
-    up: Array
-    ratio: Array
-    by_T: Array
-    """Slope of each panel node's drying by its temperature."""
-    by_w: Array
-    heat: Array
-    """Latent heat over heat capacity of each panel node. [K]"""
-
-
 @compiled(inner=True, nogil=True, error_model="numpy")
-def factor(
-    inverse: float, moist: bool, inside: bool, y: State, k: Knobs, s: Stack, g: Array, loss: Array, a: Matrix
-) -> None:
+def factor(step: Step, y: State, k: Knobs, s: Stack, flow: Flow, a: Matrix) -> None:
     """Fill the matrix at one state, with links and losses already known."""
-    n = y.T.size
+    n, g, loss, inverse = y.T.size, flow.g, flow.loss, step.inverse
     for i in range(n):
         c = s.capacity[i]
         if s.first <= i <= s.last:
@@ -431,9 +463,9 @@ def factor(
         a.up[i] = -g[i + 1] / c
         a.ratio[i] = -g[i] / c
         a.pivot[i] = inverse + (g[i] + g[i + 1] + loss[i]) / c
-        if inside and s.first <= i <= s.last:
+        if step.inside and s.first <= i <= s.last:
             a.pivot[i] += k.edge * s.volume[i - s.first] / c
-            if moist:
+            if step.moist:
                 _, a.by_T[j], a.by_w[j] = drying(y.T[i], y.w[j], k)
                 a.pivot[i] -= a.heat[j] * a.by_T[j] * inverse / (inverse - a.by_w[j])
     for i in range(1, n):
@@ -442,11 +474,9 @@ def factor(
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def back_substitute(
-    inverse: float, moist: bool, mix: float, k: Knobs, s: Stack, a: Matrix, z: State, u: State
-) -> None:
+def back_substitute(step: Step, k: Knobs, s: Stack, a: Matrix, z: State, u: State) -> None:
     """Solve the matrix for one stage: right-hand side `z` (spoilt), increment `u`."""
-    n = z.T.size
+    n, inverse, moist, mix = z.T.size, step.inverse, step.moist, step.mix
     if moist:
         for i in range(z.w.size):
             z.T[s.first + i] += a.heat[i] * a.by_w[i] * z.w[i] / (inverse - a.by_w[i])
@@ -468,8 +498,8 @@ def back_substitute(
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def combine(out: State, start: State, weights: Array, count: int, uT: Array, uw: Array, ux: Array) -> None:
-    """Set `out` to `start` plus the weighted sum of the first `count` increments."""
+def combine(out: State, start: State, weights: Array, count: int, u: State) -> None:
+    """Set `out` to `start` plus the weighted sum of the first `count` increments, the rows of `u`."""
     copy(start.T, out.T)
     copy(start.w, out.w)
     copy(start.x, out.x)
@@ -478,11 +508,11 @@ def combine(out: State, start: State, weights: Array, count: int, uT: Array, uw:
         if c == 0.0:
             continue
         for i in range(out.T.size):
-            out.T[i] += c * uT[j, i]
+            out.T[i] += c * u.T[j, i]
         for i in range(out.w.size):
-            out.w[i] += c * uw[j, i]
+            out.w[i] += c * u.w[j, i]
         for i in range(5):
-            out.x[i] += c * ux[j, i]
+            out.x[i] += c * u.x[j, i]
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
@@ -516,24 +546,22 @@ def blank(n: int, m: int) -> State:
 
 
 @compiled(nogil=True, error_model="numpy")
-def advance(
-    t: float, end: float, y: State, k: Knobs, s: Stack, tolerance: float, longest: float, out: Array, row: int
-) -> int:
-    """Integrate from `t` to `end` (no jump between them), changing `y` in place.
+def advance(span: tuple[float, float], y: State, k: Knobs, s: Stack, how: Stepping, out: Array) -> int:
+    """Integrate from begin to end of `span` (no jump between them), changing `y` in place.
 
-    Rows are added to `out` from `row` on, the first one at `t` itself; returns the next free row,
-    or -1 where `out` is full. `tolerance` bounds the local error of a step. [K]
+    Rows are written to `out`, the first one at the begin itself; returns how many, -1 where there is no more room.
     """
     n, m = y.T.size, y.w.size
+    t, end = span
     middle = 0.5 * (t + end)
     inside = present(middle, k)
     moist = inside and s.latent[0] > 0.0
-    g, loss, g_unused, loss_unused = np.empty(n + 1), np.empty(n), np.empty(n + 1), np.empty(n)
-    uT, uw, ux = np.zeros((4, n)), np.zeros((4, m)), np.zeros((4, 5))
+    flow, unused = Flow(np.empty(n + 1), np.empty(n)), Flow(np.empty(n + 1), np.empty(n))
+    u = State(np.zeros((4, n)), np.zeros((4, m)), np.zeros((4, 5)))
     stage, rate, drift, z, zero = blank(n, m), blank(n, m), blank(n, m), blank(n, m), blank(n, m)
     a = Matrix(np.empty(n), np.empty(n), np.empty(n), np.zeros(m), np.zeros(m), np.zeros(m))
-    record(t, y, closed_fraction(t, k) if inside else 0.0, k, s, out[row])
-    row += 1
+    record(t, y, closed_fraction(t, k) if inside else 0.0, k, s, out[0])
+    row = 1
     h = min(1e-3, end - t)
     while t < end - 1e-9:
         if row >= out.shape[0]:
@@ -541,37 +569,38 @@ def advance(
         if t + 1.01 * h > end:
             h = end - t
         inverse = 1.0 / (GAMMA * h)
-        mix = k.footprint * slope(t, middle, y, k, s, g, loss, rate)
-        factor(inverse, moist, inside, y, k, s, g, loss, a)
-        slope(t + 1e-3 * h, middle, y, k, s, g_unused, loss_unused, drift)
+        mix = k.footprint * slope(At(t, middle), y, k, s, flow, rate)
+        step = Step(inverse, inside, moist, mix)
+        factor(step, y, k, s, flow, a)
+        slope(At(t + 1e-3 * h, middle), y, k, s, unused, drift)
         for i in range(n):
             drift.T[i] = (drift.T[i] - rate.T[i]) / (1e-3 * h)
         for i in range(5):
             drift.x[i] = (drift.x[i] - rate.x[i]) / (1e-3 * h)
         for j in range(4):
             if j > 0:
-                combine(stage, y, A_U[j], j, uT, uw, ux)
-                slope(t + T_STAGE[j] * h, middle, stage, k, s, g_unused, loss_unused, rate)
-            combine(z, rate, C_U[j] / h, j, uT, uw, ux)
+                combine(stage, y, A_U[j], j, u)
+                slope(At(t + T_STAGE[j] * h, middle), stage, k, s, unused, rate)
+            combine(z, rate, C_U[j] / h, j, u)
             for i in range(n):
                 z.T[i] += G_STAGE[j] * h * drift.T[i]
             for i in range(5):
                 z.x[i] += G_STAGE[j] * h * drift.x[i]
-            back_substitute(inverse, moist, mix, k, s, a, z, State(uT[j], uw[j], ux[j]))
-        combine(stage, zero, E_U, 4, uT, uw, ux)
+            back_substitute(step, k, s, a, z, State(u.T[j], u.w[j], u.x[j]))
+        combine(stage, zero, E_U, 4, u)
         error = largest(stage.T)
-        error = max(error, 5.0 * largest(stage.w), abs(stage.x[3]), abs(stage.x[4])) / tolerance
+        error = max(error, 5.0 * largest(stage.w), abs(stage.x[3]), abs(stage.x[4])) / how.tolerance
         if error > 1.0 and h > 1e-6:
             h *= max(0.2, 0.85 * error ** (-1.0 / 3.0))
             continue
         t += h
-        combine(stage, y, M_U, 4, uT, uw, ux)
+        combine(stage, y, M_U, 4, u)
         copy(stage.T, y.T)
         copy(stage.w, y.w)
         copy(stage.x, y.x)
         record(t, y, closed_fraction(min(t, end), k) if inside else 0.0, k, s, out[row])
         row += 1
-        h = min(h * min(2.5, 0.85 * max(error, 1e-4) ** (-1.0 / 3.0)), longest)
+        h = min(h * min(2.5, 0.85 * max(error, 1e-4) ** (-1.0 / 3.0)), how.longest)
     return row
 
 

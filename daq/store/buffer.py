@@ -11,13 +11,14 @@ import os
 import shutil
 import sqlite3
 import zlib
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq.records import InputError
+from daq.store.file_rescue import code_of, files_of, passes
+from daq.store.records import StoreUnavailable
 from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
 from daq.words import Message, say, spoken
 
@@ -35,8 +36,6 @@ CREATE TABLE IF NOT EXISTS session (session INTEGER PRIMARY KEY, content TEXT NO
 """
 _MOST_MISSES = 5000
 """So many row numbers in a row that cannot be read are taken for the end: a page holds some five rows."""
-_PASSING = ("disk is full", "database is locked", "readonly", "read-only")
-"""Signs of errors that pass by themselves or by a person's doing; the file is sound."""
 _OLDEST = "SELECT number, content FROM parcel WHERE number > ? ORDER BY number LIMIT ?"
 
 Row = tuple[int, str]
@@ -45,12 +44,8 @@ Row = tuple[int, str]
 class Buffer:
     """Write batches and journal lines on the local disk, oldest first.
 
-    `alarm` is called with what happened to a damaged file.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be made.
+    `alarm` is called with what happened to a damaged file, and with why one cannot be used now, a full disk say:
+    it is tried again with every use, and what may wait in it is the oldest there is all the same.
     """
 
     def __init__(self, path: Path, alarm: Callable[[Message], None] = lambda message: None) -> None:
@@ -58,21 +53,36 @@ class Buffer:
         self._alarm = alarm
         self._bytes = _TYPICAL_BYTES
         self._count = self._handled = 0
-        self._counted = False  # a file damaged before its first count: nobody knows how much was in it
+        self._counted = False  # nobody knows how much is in it: unusable, or damaged before its first count
         self._known: dict[int, dict[str, Any]] = {}
+        self._unkept: set[int] = set()
+        """Sessions whose notes the file does not have yet."""
+        self._held: set[int] = set()
+        """Sessions of items that were in the file: a later process finds again what cannot be removed."""
+        self.sessions: MutableMapping[int, dict[str, Any]] = _Sessions(self)
         try:
-            self._count = self._do(_count)
-            self._counted = True
-            self._known = self._do(_notes) if self._count else self._do(_forget_notes)
+            self._first_count()
         except (sqlite3.Error, OSError) as error:
-            raise InputError(say("buffer-unusable", file=str(path), error=str(error))) from error
-        self.sessions: MutableMapping[int, dict[str, Any]] = _Sessions(self, self._known)
+            self._counted = _holds_nothing(path)
+            alarm(say("buffer-unusable", file=str(path), error=str(error)))
 
     def __len__(self) -> int:
-        return self._count
+        """How many items wait, as far as is known: one at least in a file that could not be read yet."""
+        return self._count if self._counted else max(self._count, 1)
+
+    def _first_count(self) -> None:
+        if not self._counted:
+            self._count = self._do(_count)
+            self._counted = True
+            if self._count:
+                self._known.update({**self._do(_notes), **self._known})
+            else:
+                with suppress(sqlite3.Error):  # of sessions with nothing left: no harm, and the disk may be full
+                    self._do(_forget_notes)
 
     def append(self, items: Sequence[WriteBatch | Entry]) -> None:
         """Keep items durably, all or none."""
+        self._first_count()
         texts = [_sealed(encode_item(item)) for item in items]
 
         def insert(connection: sqlite3.Connection) -> None:
@@ -81,6 +91,8 @@ class Buffer:
                 newest = connection.execute("SELECT max(number) FROM parcel").fetchone()[0] or 0
                 rows = enumerate(texts, max(newest, self._handled) + 1)  # numbers never come twice
                 connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
+                for session in self._unkept:
+                    _note(connection, session, self._known.get(session))
                 connection.execute("COMMIT")
             except sqlite3.Error:
                 with suppress(sqlite3.Error):
@@ -88,11 +100,14 @@ class Buffer:
                 raise
 
         self._do(insert)
+        self._unkept.clear()
+        self._held |= _sessions_of(items)
         self._count += len(texts)
         self.expect(max(len(text) for text in texts))
 
     def oldest(self, limit: int) -> list[tuple[int, WriteBatch | Entry]]:
         """Return the first items with their row numbers; one that cannot be read is set aside and told."""
+        self._first_count()
         while self._count:
             rows: list[Row] = self._do(lambda c: c.execute(_OLDEST, (self._handled, limit)).fetchall())
             if not rows:
@@ -101,6 +116,7 @@ class Buffer:
                 self._count = 0
                 return []
             if read := [(number, item) for number, text in rows if (item := self._item(text)) is not None]:
+                self._held |= _sessions_of([item for _, item in read])
                 return read
             self.remove(rows[-1][0])
         return []
@@ -126,8 +142,27 @@ class Buffer:
         return free / (_OVERHEAD * self._bytes * per_second) / 3600.0
 
     def note(self, session: int, content: dict[str, Any] | None) -> None:
-        """Keep what is known of a session; None forgets it."""
-        self._do(lambda c: _note(c, session, content))
+        """Keep what is known of a session; None forgets it.
+
+        Where the disk has no room, memory keeps it; that raises where a later process may need it.
+        """
+        try:
+            self._do(lambda c: _note(c, session, content))
+        except (sqlite3.Error, OSError) as error:
+            if session in self._held:
+                said = say("buffer-refuses", file=str(self.path), error=str(error))
+                raise StoreUnavailable(said) from error
+            self._unkept.add(session)
+        else:
+            self._unkept.discard(session)
+        if content is None:
+            self._known.pop(session, None)
+        else:
+            self._known[session] = content
+
+    def notes(self) -> Mapping[int, dict[str, Any]]:
+        """Return what is known of all sessions."""
+        return self._known
 
     def set_aside(self, text: str, why: str) -> Path:
         """Keep what the store does not take, or what cannot be read, as a line of a file beside the buffer."""
@@ -137,7 +172,7 @@ class Buffer:
         try:
             return decode_item(_opened(text))
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            aside = self.set_aside(text, str(error))
+            aside = self.set_aside(str(text), str(error))
             self._alarm(say("buffer-row-unreadable", file=str(self.path), aside=str(aside), error=spoken(error)))
             return None
 
@@ -147,15 +182,16 @@ class Buffer:
             with closing(self._open()) as connection:
                 return work(connection)
         except sqlite3.Error as error:
-            if any(sign in str(error) for sign in _PASSING):
+            if _passes(error, self.path):
                 raise
             self._renew(error)
         with closing(self._open()) as connection:
             return work(connection)
 
-    def _open(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
+    def _open(self, path: Path | None = None) -> sqlite3.Connection:
+        connection = sqlite3.connect(path or self.path, isolation_level=None, timeout=5.0)
         try:
+            connection.execute("PRAGMA locking_mode=EXCLUSIVE")  # else a shared file: no room on a full disk
             connection.execute("PRAGMA journal_mode=WAL")
             connection.execute("PRAGMA synchronous=FULL")
             connection.executescript(_TABLES)
@@ -165,17 +201,25 @@ class Buffer:
         return connection
 
     def _renew(self, error: sqlite3.Error) -> None:
-        """Set the file aside and go on with what can be read of it."""
+        """Set the file aside and go on with what can be read of it, once a fresh one holds that."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        expected, aside = self._count, _moved_aside(self.path)
-        rows, notes = _salvaged(aside) if aside.exists() else ([], {})
+        expected = self._count
+        rows, notes = _salvaged(self.path) if self.path.exists() else ([], {})
         rows = [row for row in rows if row[0] > self._handled]
-        with closing(self._open()) as connection:
-            connection.execute("BEGIN IMMEDIATE")
-            connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
-            for session, content in {**notes, **self._known}.items():
-                _note(connection, session, content)
-            connection.execute("COMMIT")
+        fresh = self.path.with_name(f"{self.path.name}.fresh")
+        _remove(fresh)
+        try:
+            with closing(self._open(fresh)) as connection:
+                connection.execute("BEGIN IMMEDIATE")
+                connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
+                for session, content in {**notes, **self._known}.items():
+                    _note(connection, session, content)
+                connection.execute("COMMIT")
+        except sqlite3.Error:
+            _remove(fresh)
+            raise
+        aside = _moved_aside(self.path)
+        fresh.rename(self.path)
         self._known.update({**notes, **self._known})
         self._count = len(rows)
         gaps = rows[-1][0] - rows[0][0] + 1 - len(rows) if rows else 0
@@ -206,11 +250,31 @@ def _sealed(text: str) -> str:
 
 def _opened(text: str) -> str:
     """Undo `_sealed`; files of older versions carry no sums."""
+    if not isinstance(text, str):  # what a damaged page makes of it
+        raise ValueError(say("buffer-sum-wrong"))
     if text.startswith("{"):
         return text
     if _sealed(text[8:]) != text:
         raise ValueError(say("buffer-sum-wrong"))
     return text[8:]
+
+
+def _sessions_of(items: Sequence[WriteBatch | Entry]) -> set[int]:
+    return {item.key.press_id for item in items if isinstance(item, WriteBatch)}
+
+
+def _holds_nothing(path: Path) -> bool:
+    """Whether a file that no connection can be made to holds no items for certain: read as it lies there."""
+    try:
+        if any(one.is_file() and one.stat().st_size for one in files_of(path)[1:]):
+            return False
+        if not path.is_file() or not path.stat().st_size:
+            return True
+        as_it_is = f"{path.absolute().as_uri()}?immutable=1"
+        with closing(sqlite3.connect(as_it_is, uri=True)) as connection:
+            return _count(connection) == 0
+    except (sqlite3.Error, OSError):
+        return False
 
 
 def _count(connection: sqlite3.Connection) -> int:
@@ -232,6 +296,18 @@ def _forget_notes(connection: sqlite3.Connection) -> dict[int, dict[str, Any]]:
     """Sessions with nothing left are forgotten at the start."""
     connection.execute("DELETE FROM session")
     return {}
+
+
+def _passes(error: sqlite3.Error, path: Path) -> bool:
+    """Whether a file is sound in spite of an error."""
+    if code_of(error) == sqlite3.SQLITE_CANTOPEN and path.is_file():  # its log cannot be made: no room
+        return os.access(path, os.R_OK | os.W_OK)
+    return passes(error)
+
+
+def _remove(path: Path) -> None:
+    for one in files_of(path):
+        one.unlink(missing_ok=True)
 
 
 def _moved_aside(path: Path) -> Path:
@@ -271,6 +347,8 @@ def _readable_rows(connection: sqlite3.Connection) -> Iterator[Row]:
             for number, text in connection.execute(
                 "SELECT number, content FROM parcel WHERE number > ? ORDER BY number", (last,)
             ):
+                if number <= last:
+                    raise sqlite3.DatabaseError("rows out of order")  # or this would never end
                 if isinstance(text, str):
                     yield number, text
                 last, misses = number, 0
@@ -283,22 +361,20 @@ def _readable_rows(connection: sqlite3.Connection) -> Iterator[Row]:
 class _Sessions(MutableMapping[int, dict[str, Any]]):
     """The sessions of a buffer, written through."""
 
-    def __init__(self, buffer: Buffer, known: dict[int, dict[str, Any]]) -> None:
-        self._buffer, self._known = buffer, known
+    def __init__(self, buffer: Buffer) -> None:
+        self._buffer = buffer
 
     def __getitem__(self, session: int) -> dict[str, Any]:
-        return self._known[session]
+        return self._buffer.notes()[session]
 
     def __setitem__(self, session: int, content: dict[str, Any]) -> None:
         self._buffer.note(session, content)
-        self._known[session] = content
 
     def __delitem__(self, session: int) -> None:
         self._buffer.note(session, None)
-        del self._known[session]
 
     def __iter__(self) -> Iterator[int]:
-        return iter(self._known)
+        return iter(self._buffer.notes())
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._buffer.notes())

@@ -25,13 +25,49 @@ from pathlib import Path
 Identity = tuple[str, int, int]
 _PAGES_AT_ONCE, _STEPS_AT_ONCE = 10_000, 10_000_000
 """Copied, and checked, between two signs of life: less than a second each. Set by hand, 2026-11."""
-_UNREADABLE_NOW = ("locked", "unable to open")
+_PASSING = {
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_PROTOCOL,
+    sqlite3.SQLITE_READONLY,
+}
+"""Errors that pass by themselves or by a person's doing, the file is sound: on a full disk SQLite has several."""
+_UNREADABLE = {
+    sqlite3.SQLITE_IOERR_CORRUPTFS,
+    sqlite3.SQLITE_IOERR_DATA,
+    sqlite3.SQLITE_IOERR_READ,
+    sqlite3.SQLITE_IOERR_SHORT_READ,
+}
+"""Errors among them that do not."""
 _BEGINS = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 """What a log begins with. https://www.sqlite.org/fileformat2.html#walformat"""
 _LOG_HEADER, _PAGE_HEADER = 32, 24
 """Bytes before the log's first page, and before each. Same source."""
 LOGS = ("-wal", "-shm")
 """What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
+
+
+def code_of(error: sqlite3.Error) -> int:
+    """Return SQLite's number of an error; one without a number is about what stands in the file."""
+    return int(getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT))
+
+
+def passes(error: sqlite3.Error) -> bool:
+    """Whether an error leaves a file that can be opened sound."""
+    return code_of(error) & 0xFF in _PASSING and code_of(error) not in _UNREADABLE
+
+
+def _says_nothing(error: sqlite3.Error) -> bool:
+    """Whether an error came before the file was looked into."""
+    return passes(error) or code_of(error) & 0xFF == sqlite3.SQLITE_CANTOPEN
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return a file and what SQLite may keep beside it."""
+    return [path, *(Path(f"{path}{ending}") for ending in LOGS)]
 
 
 def identity_of(path: Path) -> Identity | None:
@@ -68,7 +104,7 @@ def log_cut(path: Path, seen: int) -> tuple[bool, int]:
             pages = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1]
             page_size = connection.execute("PRAGMA page_size").fetchone()[0]
     except sqlite3.Error as error:
-        return not any(sign in str(error) for sign in _UNREADABLE_NOW), seen
+        return not _says_nothing(error), seen
     cut = pages > 0 and size < _LOG_HEADER + pages * (_PAGE_HEADER + page_size)
     return cut, seen if cut else size
 
@@ -163,5 +199,5 @@ def damage_of(path: Path) -> str:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
             found = str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
     except sqlite3.DatabaseError as error:
-        return "" if any(sign in str(error) for sign in _UNREADABLE_NOW) else str(error)
+        return "" if _says_nothing(error) else str(error)
     return "" if found == "ok" else found.replace("\n", " ")

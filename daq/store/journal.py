@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -42,6 +42,18 @@ def write_line(connection: Connection, line: Entry) -> int:
     }
     key = connection.execute(insert(EVENT), row).inserted_primary_key
     return int(key[0]) if key is not None else 0
+
+
+def write_new(connection: Connection, lines: Sequence[Entry]) -> None:
+    """Add lines but for those that are there: a lost acknowledgement, or a full disk, has them written again."""
+    if not lines:
+        return
+    times = [unix_of(known_utc(line.unix_s)) for line in lines]
+    columns = (EVENT.c.unix_s, EVENT.c.process, EVENT.c.message_json)
+    there = {tuple(row) for row in connection.execute(select(*columns).where(EVENT.c.unix_s.in_(times)))}
+    for unix_s, line in zip(times, lines, strict=True):
+        if (unix_s, line.process, to_json(line.message.to_json())) not in there:
+            write_line(connection, line)
 
 
 def note(connection: Connection, press: str, said: str, who: str) -> JournalEntry:

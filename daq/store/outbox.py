@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
-from daq.supervision import BEAT_S, STALLED_S, SupervisedThread, unexpected
+from daq.supervision import BEAT_S, STALLED_S, SupervisedThread, Untold, unexpected
 from daq.words import Message, say, spoken
 
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
@@ -59,16 +60,16 @@ class Outbox:
         self.lost = 0
         self.written = 0
         self._store = store
-        self._untold: deque[Message] = deque()
+        self._journal = journal or (lambda level, message: None)
+        self._untold = Untold(partial(self._journal, "alarm"))
         """Alarms of the buffer, told by the thread."""
-        self._buffer = None if buffer is None else Buffer(buffer, self._untold.append)
+        self._buffer = None if buffer is None else Buffer(buffer, self._untold.add)
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
         self._per_second = per_second
         self._gather_s = gather_s
         self._acknowledged = acknowledged or (lambda batch: None)
-        self._journal = journal or (lambda level, message: None)
         self._inbox: deque[WriteBatch | Entry] = deque()
         self._news = threading.Event()
         self._beat: tuple[str, Mapping[str, Any]] | None = None
@@ -166,9 +167,7 @@ class Outbox:
         while self._inbox:
             self._waiting.append(self._inbox[0])
             self._inbox.popleft()
-        while self._untold:
-            self._journal("alarm", self._untold[0])
-            self._untold.popleft()
+        self._untold.tell()
         if len(self._waiting) > _MOST_WAITING:
             self._thin_out()
 
@@ -349,6 +348,11 @@ class Outbox:
             try:
                 rows = self._buffer.oldest(_AT_ONCE)
             except (sqlite3.Error, OSError) as error:  # a store that is well does not wait for its buffer
+                if any(isinstance(x, WriteBatch) and self._placement.waits_for_place(x) for x in self._waiting):
+                    said = say("buffer-refuses", file=str(self._buffer.path), error=str(error))
+                    raise StoreUnavailable(
+                        said
+                    ) from error  # the place of what waits here is behind what is in there
                 self._tell_of_buffer(error)
                 return
             if not rows:

@@ -24,7 +24,7 @@ Notes = MutableMapping[int, dict[str, Any]]
 
 def session_key(notes: Notes, press: str, channels: Sequence[Channel], press_file: str) -> PressKey:
     """Return the key of a new session: scans from 0, their press to be found later."""
-    session = -time.time_ns()
+    session = min([-time.time_ns(), *(known - 1 for known in notes)])  # a clock stands, or is set back
     notes[session] = {"channels": [[c.name, c.unit] for c in channels], "press_file": press_file}
     return PressKey(session, press, 0, tuple(channels), 0)
 

@@ -126,8 +126,7 @@ class Store:
         with self.database.writing() as connection:
             for p in in_rows(batches):
                 recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
-            for line in lines:
-                journal.write_line(connection, line)
+            journal.write_new(connection, lines)
 
     def try_to_write(self) -> None:
         """Raise what keeps anything from being written now."""

@@ -23,6 +23,7 @@ from daq.address import Address
 from daq.files.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
+from daq.store.file_rescue import files_of
 from daq.store.reading import first_number_from
 from daq.store.records import RunStatus, StoreUnavailable
 from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, IDLE_THINNED, METADATA, MODEL, PRESS, RUN, SCAN
@@ -86,7 +87,7 @@ def back_up(database: Database, target: Path) -> Contents:
     except (sqlite3.Error, OSError) as error:
         raise StoreUnavailable(say("backup-failed", file=str(target), error=str(error))) from error
     finally:
-        for leftover in (part, part.with_name(part.name + "-wal"), part.with_name(part.name + "-shm")):
+        for leftover in files_of(part):
             with suppress(OSError):
                 leftover.unlink(missing_ok=True)
     return contents
@@ -320,8 +321,7 @@ def sizes_of(database: Database) -> Sizes:
         if database.path is None:
             size = int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
             return Sizes(size, size / max(scans, 1), _free_of_server(database, connection))
-    beside = [database.path, *(database.path.with_name(database.path.name + s) for s in ("-wal", "-shm"))]
-    size = sum(p.stat().st_size for p in beside if p.exists())
+    size = sum(p.stat().st_size for p in files_of(database.path) if p.exists())
     return Sizes(size, size / max(scans, 1), shutil.disk_usage(database.path.parent).free)
 
 

@@ -55,6 +55,7 @@ system-no-such-file = Datei oder Ordner nicht gefunden
 system-not-a-folder = Es ist kein Ordner
 system-not-allowed = Keine Berechtigung
 system-read-only = Das Dateisystem ist schreibgeschützt
+system-too-large = Die Datei ist zu groß
 toml-integer-too-long = eine ganze Zahl mit mehr als { NUMBER($digits) } Ziffern; kürzen oder, wenn es ein Text ist, in Anführungszeichen setzen
 toml-invalid = kein gültiges TOML: unverständlich ab Zeile { NUMBER($line) }, Spalte { NUMBER($column) }
 toml-too-deep = Tabellen oder Listen mehr als { NUMBER($deepest) } Ebenen tief verschachtelt; flacher schreiben
@@ -231,32 +232,40 @@ foreign-variant-twice = der Name dieser Datei passt zu zwei Varianten von '{ $of
 foreign-variant-unknown = der Name dieser Datei passt zu keiner Variante von '{ $of }' in der Zuordnung ({ $known }); eine [[variant]] hinzufügen, die sagt, was für sie gilt, oder die Datei umbenennen
 frame-column-complex = Spalte { $column } enthält komplexe Zahlen; den Realteil angeben oder je eine Spalte
 frame-column-levels = die Namen der Spalten haben { NUMBER($levels) } Ebenen; zu einer verbinden, etwa mit '_'.join
+frame-index-levels = { $run }: der Index hat { NUMBER($levels) } Ebenen ({ $names }); eine Pressung auf einmal angeben, etwa table.loc[name] oder table.groupby(level=0), oder Ebenen mit reset_index zu Spalten machen
 frame-key-no-text = Schlüssel { $key } in attrs ist kein Text; die Schlüssel eines Kopfes sind Texte
+frame-times-here = eine Spalte oder einen Index time_s in Sekunden geben oder einen Index aus Zeitpunkten (Texte werden es durch pandas.to_datetime)
+frame-times-of-periods = ihr Index besteht aus Perioden, also table.to_timestamp() nehmen
 frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung braucht mindestens eine Messzeile
 frame-without-start = Im Kopf fehlt, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
-frame-without-times = { $run }: die Tabelle hat keine Zeiten; eine Spalte oder einen Index time_s in Sekunden angeben, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
+frame-without-times = { $run }: die Tabelle hat keine Zeiten; { $remedy } (Spalten sind { $columns })
 given-key-no-text = Schlüssel { $key } ist kein Text; Namen als Texte angeben
 given-mapping-without-file = { $found }: eine Zuordnungsdatei erklärt die Datei eines fremden Loggers; gib den Pfad dieser Datei an, oder benenne die Spalten der Tabelle um und lass die Zuordnung weg
 given-no-effect = { $found }: ein Effekt wird als Effect angegeben
 given-no-header = { $found }: ein Kopf wird als Zuordnung von Schlüsseln mit Punkten angegeben, etwa {"{"}"panel.thickness_mm": 16.0{"}"}
+given-no-language = Sprache { $language }: es gibt Wörter in { $languages }
 given-no-limits = { $found }: Grenzen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"core_least_C": 110.0{"}"}
 given-no-mapping = { $found }: eine Zuordnungsdatei wird mit ihrem Pfad angegeben
+given-no-measurement = { $found }: Messungen werden als Liste von Tupeln angegeben: ein Run, seine Moments und seine wahren Koeffizienten nach Namen
 given-no-model = { $found }: ein Modell wird mit dem Pfad einer Modelldatei angegeben, als ModelFile oder als Ergebnis einer Anpassung oder Diagnose
 given-no-names = { $found }: Namen werden als ein Text oder mehrere angegeben
 given-no-press = { $found }: eine Presse wird mit dem Pfad einer Pressendatei angegeben oder als das, was read_press gab
+given-no-press-name = { $found }: der Name einer Presse wird als Text angegeben
 given-no-ranges = { $found }: Bereiche werden als Zuordnung von je zwei Zahlen zu Namen angegeben, etwa {"{"}"press_time_s": (60.0, 240.0){"}"}
 given-no-resin = { $found }: ein Harz wird mit dem Pfad einer Harzdatei angegeben oder als Resin
 given-no-run = { $found }: eine Pressung wird mit dem Pfad einer CSV- oder Parquet-Datei angegeben, als pandas-Tabelle oder als Run; die Tabelle einer anderen Bibliothek geht mit ihrem to_pandas()
 given-no-settings = { $found }: Einstellungen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"press_time_s": 90.0{"}"}
+given-no-store = { $found }: eine Datenbank wird mit dem Pfad ihrer Datei angegeben oder mit ihrer Adresse postgresql://
 given-no-table = { $found }: eine Tabelle wird als DataFrame von pandas angegeben; die einer anderen Bibliothek geht mit ihrem to_pandas()
+given-no-thermal-model = { $found }: ein thermisches Modell wird als ThermalModel(press) angegeben
 header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Materialtabelle für { $material }; bitte prüfen
 header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $meant }
 header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten
 header-key-unknown = Kopfschlüssel { $key } ist unbekannt; er wird aufbewahrt, aber nicht verwendet
 header-line-no-toml = '# { $text }' ist kein 'Schlüssel = Wert' in TOML ({ $reason }); Text in Anführungszeichen setzen, eine Bemerkung mit '##' beginnen
 header-material-unknown = Material '{ $material }' steht nicht in der Tabelle ({ $known }), und { $missing } ist nirgends angegeben; das Material berichtigen oder Fehlendes angeben
-header-missing = Kopfschlüssel { $key } fehlt; '# { $key } = ...' ergänzen
-header-missing-material = Kopfschlüssel { $key } fehlt und Material '{ $material }' steht nicht in der Tabelle ({ $known }); '# { $key } = ...' ergänzen
+header-missing = Kopfschlüssel { $key } fehlt; im Kopf ergänzen, in einer Datei als '# { $key } = ...'
+header-missing-material = Kopfschlüssel { $key } fehlt und Material '{ $material }' steht nicht in der Tabelle ({ $known }); im Kopf ergänzen, in einer Datei als '# { $key } = ...'
 header-no-number = Kopfschlüssel { $key } = { $value }: muss eine Zahl sein; den Kopf berichtigen
 header-no-such-place = Kopfschlüssel { $key }: diese Stelle gibt es in der Pressendatei nicht
 header-not-finite = Kopfschlüssel { $key } = { $value }: muss eine endliche Zahl sein; berichtigen oder, wo sie nicht bekannt ist, den Schlüssel entfernen
@@ -272,6 +281,8 @@ mapping-no-zone = muss eine Zeitzone wie Europe/Berlin sein
 mapping-target-twice = column.to = '{ $column }' kommt zweimal vor; jede Spalte der Laufdatei hat eine Quelle
 mapping-term-unknown = computed.to = '{ $to }': keine [[column]] führt zu seinem Glied '{ $column }'
 mapping-variant-of-nothing = required_variants: keine [[variant]] hat of = '{ $of }'
+play-pause = pause_s = { $value }: muss eine Zahl von Sekunden sein, mindestens 0
+play-scans = scans = { $value }: muss eine ganze Zahl sein, mindestens 1
 press-boundary-needs-coefficient = kind = "air" braucht coefficient, den Namen des Wärmeübergangskoeffizienten
 press-boundary-needs-column = kind = "measured" braucht column, die Spalte der Laufdatei mit der Temperatur
 press-boundary-no-flux-of-run = from_run gehört zu kind = "flux", nicht zu { $kind }: der Wärmestrom kommt damit aus dem Kopf der Laufdatei
@@ -294,6 +305,18 @@ press-sd-of-nothing = { $key }.sd: daneben steht keine Zahl { $key }
 press-table-not-rising = eine Tabelle braucht mindestens eine Zeile, mit steigenden Temperaturen
 press-wire-as-temperature = würde als Temperatur gelesen, wegen '{ $pattern }'; den Kanal umbenennen
 press-wire-twice = ist schon der Endschalter; eine andere Spalte nennen
+printed-model = Modell { $version } der Presse { $press }
+printed-more = ... und { $count } weitere
+printed-nothing-missing = nichts fehlt: { NUMBER($percent, maximumFractionDigits: 0) } %, nach { $runs } { $runs ->
+    [one] Pressung
+   *[other] Pressungen
+}
+printed-panels = Platten: { $panels }
+printed-press = Presse { $press }: { $chain }
+printed-run = Pressung { $run }: { $scans } { $scans ->
+    [one] Scan
+   *[other] Scans
+}, { $first } bis { $last } s
 quality-form = { $text }: Spalte=Qualität schreiben, mit einem Leerzeichen zwischen zweien; eine Spalte mit anderen Worten umbenennen
 quality-no-such-column = { $text } nennt Spalte { $column }, die es nicht gibt; den Namen berichtigen
 quality-unknown = { $text }: { $quality } ist keine Qualität; es gibt { $known }
@@ -427,7 +450,7 @@ buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Ein
 buffer-refuses = Puffer { $file }: { $error }; auf seinem Datenträger Platz schaffen
 buffer-row-unreadable = Puffer { $file }: ein Eintrag ist nicht lesbar ({ $error }); er liegt nun in { $aside }
 buffer-sum-wrong = Prüfsumme falsch
-buffer-unusable = Puffer { $file }: { $error }; seinen Ordner prüfen oder eine andere Datei als buffer in [store] angeben
+buffer-unusable = Puffer { $file }: { $error }; seinen Datenträger und Ordner prüfen oder eine andere Datei als buffer in [store] angeben; die Aufzeichnung läuft weiter, aber solange der Datenspeicher nicht erreichbar ist, warten Messzeilen im Arbeitsspeicher
 event-twice = Presse { $press }: { $kind } ist zu einem anderen Zeitpunkt der Messzeile { $scan } schon aufgezeichnet; das zweite Ereignis wird nicht gespeichert
 events-lost = Presse { $press }: { $count } Ereignisse verloren: der Datenspeicher war länger nicht erreichbar, als der Platz reichte
 item-set-aside = Presse { $press }: der Datenspeicher nimmt { $what } nicht an: { $why }; beiseitegelegt in { $aside }, alles andere ist geschrieben
@@ -458,6 +481,7 @@ store-file-gone = Datenspeicher { $store }: die Datei wurde gelöscht oder versc
 store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und hängt von einer ab, die diese Version ändert; sie löschen, neu starten und sie neu anlegen
 store-gives-no-reason = ohne Angabe eines Grundes
 store-header-wrong = { $file }: Kopfzeile { $key } = { $value }: muss { $wanted } sein; berichtigen oder weglassen
+store-is-closed = Datenbank { $store }: ist geschlossen; mit daq.open_store wieder öffnen
 store-is-folder = Datenspeicher { $store }: ist ein Ordner; den Pfad einer Datei darin angeben
 store-missing = Datenspeicher { $store }: gibt es nicht; kerntemp record starten oder den richtigen Pfad angeben
 store-newer = Datenspeicher { $store }: von einer neueren Version angelegt (Schema { $schema }, diese Version kennt { $known }); Kerntemp aktualisieren oder einen anderen Datenspeicher angeben
@@ -680,9 +704,9 @@ boundary-column-missing = { $run }: die Spalte '{ $column }' fehlt; boundary.{ $
 boundary-empty = { $run }: die Spalte '{ $column }' enthält keinen Wert; boundary.{ $end } braucht sie
 boundary-gap = { $run }: die Spalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s von boundary.{ $end } werden überbrückt: die Laufdatei dort teilen
 boundary-impossible = { $run }: Spalte '{ $column }' = { $value } °C bei time_s = { $time }: boundary.{ $end } muss zwischen { NUMBER($lower, maximumFractionDigits: 6) } und { NUMBER($upper, maximumFractionDigits: 6) } °C liegen; die Zelle leeren
+coefficient-impossible = { $where }: { $name } = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper) } W/m²K sein
 coefficient-missing = Koeffizient { $name } fehlt; alle angeben: { $all }
 coefficient-negative = { $name } = { $value } W/m²K: muss eine endliche Zahl sein, mindestens 0
-coefficient-not-positive = { $where }: { $name } = { $value }: muss eine Zahl über 0 in W/m²K sein
 coefficient-unknown = { $where }: { $name }: die Presse „{ $press }“ hat keinen solchen Koeffizienten; sie hat { $known }
 header-ambient-impossible = { $run }: Kopfdaten ambient.temperature_C = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
 header-pressure-impossible = { $run }: Kopfdaten setting.pressure_N_cm2 = { $value }: muss eine Zahl über 0 N/cm² sein; berichtigen oder, wo sie nicht bekannt ist, weglassen
@@ -692,6 +716,7 @@ header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
+live-sensor-of-press = Live-Sensor der Presse { $press }
 live-time-not-rising = eine Messzeile bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einer bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen
 live-value-no-number = Spalte { $column }: { $value } ist keine Zahl; für einen fehlenden Wert NaN oder None angeben
 load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
@@ -699,18 +724,21 @@ load-column-missing = { $run }: Druckspalte '{ $column }' fehlt (vorhanden: { $c
 load-gap = { $run }: Druckspalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines Drucks werden überbrückt: die Laufdatei dort teilen oder die Spalte weglassen
 load-impossible = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }: muss eine endliche Zahl sein, nicht unter 0; die Zelle leeren oder Vorzeichen oder Nullpunkt der Spalte berichtigen
 load-zero-while-closed = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }, wo die Presse geschlossen ist: muss über 0 liegen; die Zelle leeren oder Vorzeichen oder Nullpunkt der Spalte berichtigen
-model-file-adequacy = { $file }: adequacy ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
-model-file-coefficient-not-positive = { $file }: coefficients.{ $name }.value = { $value }: muss über 0 W/m²K liegen
+model-file-covariance = { $file }: covariance von { $row } und { $column } = { $value }: das steht da in keiner Kovarianzmatrix; den Schlüssel covariance weglassen oder neu anpassen
+model-file-covariance-of = { $file }: covariance.names nennt { $name }, wovon die Datei keinen Wert gibt; sie gibt { $known }
+model-file-covariance-shape = { $file }: covariance.matrix ist { $shape }, und covariance.names hat { $names }; je Name muss sie eine Zeile und eine Spalte haben
+model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } = { $value } ({ $effect }) liegt außerhalb der Grenzen { NUMBER($lower, maximumFractionDigits: 9) } bis { NUMBER($upper, maximumFractionDigits: 6) } { $unit } ({ $source })
+model-file-effect-twice = { $file }: effects.{ $number }: { $effect } steht zweimal in effects; einen Eintrag behalten
 model-file-effect-unnamed = { $file }: effects.{ $number } hat keinen Namen
+model-file-effect-without-size = { $file }: effects.{ $number }: { $effect } hat keine Größe; unter parameters angeben: { $known }
+model-file-key-meant = { $file }: der Schlüssel '{ $key }' ist nicht bekannt; ist { $meant } gemeint?
 model-file-no-coefficients = { $file }: keine Modelldatei: der Schlüssel 'coefficients' fehlt
 model-file-no-json = { $file }: keine Modelldatei in JSON: { $error }
 model-file-no-numbers = { $file }: { $place } = { $value }: braucht die Zahlen value und sd
 model-file-no-table = { $file }: { $place } muss ein Objekt aus NAME: {"{"}value, sd{"}"} sein
-model-file-not-finite = { $file }: { $place }.value ist nicht endlich
-model-file-panels = { $file }: panels ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } hat { $known }
-model-file-scatter = { $file }: scatter ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
-model-file-sisters = { $file }: sisters ist nicht, wie der nächtliche Lauf es schreibt ({ $error }); den Schlüssel weglassen
+model-file-part = { $file }: { $key } ist nicht, wie fit, diagnose und der nächtliche Lauf es schreiben; berichtigen oder den Schlüssel weglassen
+model-file-sd = { $file }: { $place }.sd = { $value }: eine Standardabweichung muss eine Zahl sein, mindestens 0
 model-file-unreadable = { $file }: die Modelldatei ist nicht zu lesen: { $error }
 parameter-unknown = '{ $name }' ist kein Parameter dieses Modells; es hat { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } liegt vor { $earlier } = { $early }; die Spalte closed prüfen
@@ -752,7 +780,7 @@ channel-empty = Kanal { $column } hat keinen brauchbaren Wert und bleibt weg
 channel-loose = Kanal { $column } weicht um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS) von seiner Seite ab: Der Fühler ist womöglich lose und bleibt weg
 channel-swapped = Kanal { $column } folgt einer anderen Stelle ({ $place }): vertauscht? Er bleibt weg
 run-no-panel-channel = { $run }: kein brauchbarer Plattenkanal; die Fühler der Pressendatei nennen { $named }
-run-press-state-unknown = { $run }: Pressenzustand unbekannt: keine Plattenspalte und keine Spalte 'closed'; eine davon ergänzen oder eine Pressendatei ohne offene Kontakte nehmen
+run-press-state-unknown = { $run }: Pressenzustand unbekannt: kein Messwert der Platte und keine Spalte 'closed'; eine davon ergänzen oder eine Pressendatei ohne offene Kontakte nehmen
 
 ## softsensor.fitting: fits, warnings, what to measure
 
@@ -957,8 +985,9 @@ verdict-few-runs-off = { $runs } { $runs ->
 verdict-left = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt.
 verdict-left-at = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt: { $stretch }.
 verdict-not-described = Kein Urteil möglich: das Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Pressendatei, Kopfdaten der Pressungen und die Zuordnung der Spalten prüfen.
+verdict-panels-differ = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, doch nur, wenn ihre Platten sich stärker voneinander unterscheiden als Platten eines Erzeugnisses: etwas Unbekanntes ist von Pressung zu Pressung verschieden.
+verdict-panels-not-as-given = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, doch nur, wenn alle ihre Platten anders leiten oder speichern als in den Kopfdaten angegeben, stärker als Platten eines Erzeugnisses es tun. Dicke, Dichte, Wärmeleitfähigkeit und Wärmekapazität prüfen.
 verdict-plain-model-explains = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-plain-model-explains-panels = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, und auf { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, wenn jede Platte Wärme ein wenig anders leiten und speichern darf, wie wirkliche Platten es tun; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Ohne sie erklärt das einfache Modell diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-something-beyond-chance = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, und doch passt eine Ursache besser als durch Zufall. Dass sie ausgelassene Pressungen verbessert, ist nicht gezeigt.
 verdict-suspected = Verdacht, nicht bewiesen: { $causes }.
@@ -1046,10 +1075,10 @@ rehearsal-wrong = andere Ursache genannt
 
 advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Wann zu öffnen ist, entscheidet der Softsensor im Betrieb.
 advise-best = { NUMBER($seconds, maximumFractionDigits: 0) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit { NUMBER($percent, maximumFractionDigits: 1) } %
-advise-cure-without-resin = eine Grenze der Aushärtung braucht die Kinetik des Harzes; --resin angeben
+advise-cure-without-resin = eine Grenze der Aushärtung braucht die Kinetik des Harzes; auch eine Harzdatei angeben
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh je Platte, { NUMBER($panels, maximumFractionDigits: 0) } Platten in der Stunde
 advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } Cent je Platte
-advise-goal-unknown = --goal { $goal }: muss eines von { $known } sein
+advise-goal-unknown = Ziel { $goal }: muss eines von { $known } sein
 advise-limit-core_least = Kern zu kalt
 advise-limit-core_most = Kern zu heiß
 advise-limit-cure_bottom = untere Seite nicht ausgehärtet
@@ -1058,14 +1087,14 @@ advise-limit-steam_most = zu viel Dampf
 advise-load-unit = Presse { $press }: das Modell folgt der Last in Spalte { $column }, deren Einheit nirgends steht: beim Kontakt in load unit = "N/cm2", "kPa", "bar" oder "MPa" angeben
 advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
 advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
-advise-no-limit = keine Grenze angegeben; --resin mit [limits], --core-least oder --core-most angeben
-advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-no-limit = keine Grenze angegeben; eine Harzdatei mit [limits] angeben, oder was der Kern mindestens oder höchstens erreichen soll
+advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Platte: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': muss SCHLÜSSEL=WERT sein, etwa panel.thickness_mm=16
-advise-press-time-narrow = --range press_time_s={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: Presszeiten werden im Abstand von { NUMBER($step) } s geprüft, und keine liegt dazwischen; den Bereich weiten
+advise-press-time-narrow = Bereich von press_time_s, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: Presszeiten werden im Abstand von { NUMBER($step) } s geprüft, und keine liegt dazwischen; den Bereich weiten
 advise-press-without-states = { $press }: nach der Pressendatei öffnet und schließt nichts, also gibt es keine Presszeit
 advise-pressure = Druck: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
-advise-pressure-unknown = --range { $name }: das Modell weiß nicht, was der Druck bewirkt, denn nichts in ihm folgt einer Last; weglassen, oder zuerst Pressungen mit verschiedenem Druck diagnostizieren
+advise-pressure-unknown = Bereich von { $name }: das Modell weiß nicht, was der Druck bewirkt, denn nichts in ihm folgt einer Last; weglassen, oder zuerst Pressungen mit verschiedenem Druck diagnostizieren
 advise-source-coefficients = die Kontakte dieser Pressung (der Softsensor lernt sie beim Pressen; gleichmäßige Kontakte helfen)
 advise-source-effects = die Größe der gefundenen Ursachen (mehr Pressungen)
 advise-source-kinetics = die Kinetik des Harzes (eine DSC dieses Papiers)
@@ -1073,6 +1102,7 @@ advise-source-platens = die wahre Temperatur der Heizplatten (kalibrieren)
 advise-source-sorption = die Isotherme der Platte (ein Sorptionsversuch)
 plan-best = Am besten: { $settings }. { $prospect }
 plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
+plan-more = ... und { $count } weitere
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = Eine Pressung bringt es auf ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-not-described = Das Modell beschreibt diese Pressungen nicht; was eine weitere Pressung brächte, ist nicht vorherzusagen.
@@ -1081,9 +1111,9 @@ plan-open-causes = Nicht zu unterscheiden: { $causes }
 plan-open-coefficient = { $name } ist auf ±{ NUMBER($percent, maximumFractionDigits: 0) } % bekannt (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = Der Kern beim Öffnen ist auf ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K bekannt, soweit alle Pressungen es gemeinsam haben (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
 plan-open-suspected = Im Verdacht, nicht bewiesen: { $causes }
-plan-range-unknown = --range { $name }: diese Einstellung gibt es hier nicht; bekannt sind { $known }
+plan-range-unknown = Bereich von { $name }: diese Einstellung gibt es hier nicht; bekannt sind { $known }
 plan-range-unreadable = --range '{ $given }': muss NAME=UNTEN:OBEN sein, etwa thickness_mm=8:19
-plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: das untere Ende steht zuerst, und beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
+plan-range-wrong = Bereich von { $name }, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: das untere Ende steht zuerst, und beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
 plan-repeated = Die üblichen Einstellungen noch einmal: { $prospect }
 plan-runs = { $runs ->
     [one] { $runs } genügt
@@ -1180,13 +1210,13 @@ night-compared =
     }: Residuum einzelner Fühler{ $still ->
         [yes] { " in Ruhe" }
        *[no] { "" }
-    }, eigene Kontakte angepasst, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
+    }, eigene Kontakte angepasst, von { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } auf { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
         [yes] { $runs } unbeteiligten Pressungen
        *[no] { $runs } Pressungen der Diagnose
     }{ $predicted }{ $core }{ $against }
 night-compared-against = { "; " }{ $what }
-night-compared-core = { ", " }Kern { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K im Betrieb
-night-compared-predicted = { ", " }Vorhersagen { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
+night-compared-core = { ", " }Kern von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } auf { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K im Betrieb
+night-compared-predicted = { ", " }Vorhersagen von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } auf { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
 night-diagnosis-confirms = die Diagnose bestätigt es
 night-failed = { $press }: nächtlicher Lauf gescheitert: { $why }
 night-first-model = erstes Modell, Koeffizienten aus { $runs } Pressungen
@@ -1237,6 +1267,7 @@ run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts a
 sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Aktualisierung: etwa eine Minute
 sense-following = folgt { $presses }
 sense-follows-run = folgt Pressung { $run }
+sense-model-not-taken = der Live-Sensor kann das geltende Modell nicht übernehmen und arbeitet mit { $version } weiter: { $why }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen
 
@@ -1311,13 +1342,14 @@ night-effects = Effekte
 night-fitted-with = angepasst mit
 night-in-force = Modell in Kraft
 night-no-diagnosis = Noch keine.
-night-no-drift = Jeder Koeffizient ist, wo er immer war.
+night-no-drift = Kein Koeffizient zeigt eine Drift.
 night-no-effects = keine
 night-no-model = Es gibt noch kein Modell: { $reason }.
 night-not-fitted = nicht angepasst
 night-parameters = Parameter
 night-promoted = Modell { $version } wurde in Kraft gesetzt: { $reason }.
 night-residual = Residuum der Seiten
+night-run-not-described = { $rmse }, vom Modell nicht beschrieben
 night-runs = Neueste Pressungen
 night-spread = eine Pressung kann abweichen um
 night-started = Beginn
@@ -1335,6 +1367,7 @@ night-versions = Versionen
 night-warnings = Warnungen im Journal
 night-why = warum
 night-with-guesses = mit den Schätzwerten der Pressendatei
+night-with-press-file = Pressendatei
 
 ## softsensor.report: reports of fits and diagnoses
 
@@ -1343,10 +1376,14 @@ kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFrac
 known-all = alle Koeffizienten
 known-none = keiner der Koeffizienten
 paper-adaptive = angepasste Schritte
+paper-boundary-not-measured = { $boundary } ist { $kind }; der Löser der Arbeit nimmt nur gemessene Ränder: Pressungen einer Presse vergleichen, deren Ränder Spalten sind
 paper-exact = exakt
 paper-exact-sensitivities = exakt
 paper-finite-differences = Differenzen
+paper-no-measurement = keine Messung angegeben; mindestens eine angeben
+paper-none-judged = judged = { $judged }: nichts davon wird hier angepasst ({ $known }); mindestens eines davon nennen
 paper-slope-changes = Kosten entlang { $name } innerhalb ±{ NUMBER($span, maximumSignificantDigits: 1) } %: die Steigung wechselt mit angepassten Schritten { $adaptive }-mal das Vorzeichen, mit dem exakten Löser { $exact }-mal.
+paper-truth-missing = der wahre Wert von { $names } fehlt; für jeden nicht festen Koeffizienten einen angeben
 report-95-bootstrap = 95 % (Bootstrap)
 report-95-of-mean = 95 % des Mittels (t)
 report-95-of-runs = 95 % seiner Pressungen
@@ -1383,7 +1420,7 @@ report-diagnosis-basis = Presse „{ $press }“, { $runs } { $runs ->
        *[other] Pressungen
     }
 report-diagnosis-of = { $verdict } – Presse { $press }
-report-error-core = Fehler des Kerns gegen Kernfühler
+report-error-core = Fehler des Kerns der Platten, wie ihre Köpfe sie angeben, gegen Kernfühler
 report-error-core-predicted = Abweichung an Kernfühlern, Pressungen vorhergesagt
 report-every-run = Jede Pressung für sich
 report-every-run-joint = Jede Pressung mit dem, was sie von den anderen übernimmt
@@ -1417,7 +1454,7 @@ report-legend-every-run = W/m²K, ± das halbe 95-%-Intervall. Kursiv: in dieser
 report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, verlassen sie das Bild, und der größte Wert steht dabei.
 report-legend-normalised = Punkte: einzelne Pressungen bezogen auf das Mittel, in ihrer Reihenfolge. Balken: ± σ.
 report-legend-profile = Ein Profil zeigt, wie viel schlechter das Modell zur Pressung passt, je weiter ein Koeffizient verschoben wird, während alle anderen Unbekannten folgen; wo es unter der Linie bleibt, passt der Wert ebenso gut (95 %). Ein Profil, das die Linie auf einer Seite nicht schneidet, ist dort offen.
-report-legend-run = Punkte: Mittel der Messwerte; getönt darum: vom niedrigsten bis zum höchsten Fühler. Grau: das einfache Modell mit den eigenen Koeffizienten dieser Pressung. Orange: mit der Ursache. Gestrichelt: Kern. Getönt: Presse geschlossen; darunter, wo das einfache Modell am weitesten danebenliegt, und was dort gemessen wurde.
+report-legend-run = Punkte: Mittel der Messwerte; getönt darum: vom niedrigsten bis zum höchsten Fühler. Grau: das einfache Modell mit den eigenen Koeffizienten dieser Pressung. Orange: mit der Ursache. Gestrichelt: Kern der Platte, wie der Kopf sie angibt. Getönt: Presse geschlossen; darunter, wo das einfache Modell am weitesten danebenliegt, und was dort gemessen wurde.
 report-mean = Mittel
 report-mean-note = Mittel und σ über die Pressungen, in denen der Koeffizient bestimmbar ist. Gemeinsamer Median und wahre Streuung: alle Pressungen zusammen geschätzt als Ziehungen aus einer lognormalen Gesamtheit, ohne den Fehler der einzelnen Schätzung.
 report-measured-against-simulated = Gemessen gegen simuliert
@@ -1507,7 +1544,7 @@ report-why = Warum
 report-why-and-remedy = warum, und welche Messung hilft
 report-with-guesses-kelvin = mit Schätzwerten [K]
 report-worst-run = Die am schlechtesten passende Pressung
-report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben, und { $worth }. Die Wahrscheinlichkeit, dass das Zufall ist, aus dem Vertauschen der Vorzeichen ganzer Pressungen: { $sureness }
+report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben, und { $worth }. Die Wahrscheinlichkeit, dass das Zufall ist, aus dem Vertauschen der Vorzeichen ganzer Pressungen oder der Likelihood ausgelassener Pressungen: { $sureness }
 
 ## api: when to open
 
@@ -1783,6 +1820,7 @@ terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 zeigt, wo)
 terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: einen späteren Zeitpunkt angeben
 terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; die Pressung hat { $known }
 terminal-until-no-run = --until { $until }: keine Pressung '{ $run }' ist angegeben; Pressungen sind { $known }
+terminal-until-not-reached = --until { $until } kommt in { $runs } nicht vor: dort wird nichts weggelassen; Sekunden angeben oder eine Temperatur, die erreicht wird
 terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit PRESSUNG: davor für eine Pressung allein
 terminal-written = geschrieben: { $path }
 terminal-written-several = geschrieben: { $files } Dateien in { $folder }
@@ -2001,7 +2039,7 @@ demo-column-opening = Öffnen
 demo-column-run = Pressung
 demo-column-scans = Messzeilen
 demo-column-surface = Residuum
-demo-column-surface-unit = vor -> nach Anpassung
+demo-column-surface-unit = vor, nach Anpassung
 demo-column-worst = größter
 demo-compiling = Erster Start: das Übersetzen des Modells dauert etwa eine Minute ...
 demo-core-off = Kern { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
@@ -2035,7 +2073,7 @@ demo-not-found = { $runs ->
 demo-not-kept = Nichts davon wird aufbewahrt; --data DIR bewahrt alles auf.
 demo-not-promoted = Modell { $version } wurde nicht in Kraft gesetzt: { $why }
 demo-page = Seite          { $address }
-demo-pressing = Pressung { $run }: { $scans } Messzeilen, Schließen { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s und Öffnen { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s daneben, Residuum { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, { $core }
+demo-pressing = Pressung { $run }: { $scans } Messzeilen, Schließen { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s und Öffnen { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s daneben, Residuum von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } auf { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, { $core }
 demo-scans-left-out = { $left_out } von { $all } Messzeilen wurden ausgelassen
 demo-store = Datenspeicher  { $path }
 demo-stored = Mit der virtuellen Presse verglichen: { $runs } Pressungen, { $scans } Messzeilen
@@ -2091,6 +2129,7 @@ page-band-from-start = der Anfangs- und der Heizplattentemperatur
 page-band-from-suspected = vermuteten Ursachen
 page-band-from-timing = den Zeitpunkten der Presse
 page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
+page-core-behind = Der Softsensor hat die letzten { $time } der Messwerte nicht ausgewertet: die Kurve des Kerns endet davor.
 page-core-foreseen = Kern, Vorhersage bei geschlossener Presse
 page-cure = Aushärtung, schwächere Seite
 page-energy = Aufgenommene Wärme
@@ -2229,10 +2268,14 @@ page-rmse = RMSE der Anpassung
 page-rmse-hint = RMSE wie bei der Anpassung: jeder gute Kanal ohne seine konstante Abweichung, über die ganze Pressung.
 page-scans = Messzeilen
 page-scatter = Eine Zahl über der anderen
-page-scatter-newest = Die neuesten { $count } der gefundenen Pressungen; eine engere Suche findet andere.
-page-scatter-of = { $count ->
-        [one] Eine Pressung
+page-scatter-newest = Von den neuesten { $count } der gefundenen Pressungen; eine engere Suche findet andere.
+page-scatter-of = Zeigt { $shown } von { $count ->
+        [one] einer Pressung
        *[other] { $count } Pressungen
+    }{ $lacking ->
+        [0] { "." }
+        [one] { "; bei einer fehlt eine der beiden Zahlen." }
+       *[other] ; bei { $lacking } fehlt eine der beiden Zahlen.
     }
 page-scatter-right = nach rechts
 page-scatter-up = nach oben
@@ -2338,19 +2381,20 @@ page-order-of-runs = Reihenfolge der Pressungen
 
 ## page: diagnosis
 
-page-all-sensors = alle Fühler: einfach → erweitert
+page-all-sensors = alle Fühler
 page-cause = Ursache
-page-core = Kern: einfach → erweitert
+page-core = Kern
 page-curves = Gemessen und simuliert: { $run }
 page-curves-hint = Die Pressung, die das einfache Modell am schlechtesten trifft. Punkte: Mittel der Fühler. Darunter: gemessen minus Modell.
 page-curves-residual = { $place }: gemessen minus Modell
 page-earlier = Frühere Diagnosen
 page-effects = Effekte
 page-evidence = Belege: Gewinn auf ungesehenen Pressungen je Ursache
-page-explains = erklärt
+page-evidence-other = Der längste Balken, { $cause }, ist nicht die Ursache oben: ein Balken zeigt, was eine Ursache allein spart; gewählt wird danach, wie sicher die Pressungen eine Ursache vorziehen.
+page-explains = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben
 page-gain-left-out = weniger Fehler in ausgelassenen Pressungen, eigene Kontakte angepasst
 page-gain-predicted = weniger Fehler in vorhergesagten Pressungen
-page-heldout = ausgelassen, eigene Kontakte angepasst: einfach → erweitert
+page-heldout = ausgelassen, eigene Kontakte angepasst
 page-heldout-gain = Gewinn auf ausgelassenen Pressungen
 page-luck = Wahrscheinlichkeit, dass es Zufall ist
 page-measured-there = Dort gemessen
@@ -2363,12 +2407,14 @@ page-no-gain = Keine Ursache senkt den Fehler auf ungesehenen Pressungen.
 page-no-models = Noch keine Modellversion.
 page-noise-floor = Rauschgrenze
 page-nowhere = Nirgends über dem Rauschen.
+page-nowhere-sought = Nicht gesucht: Über diese Pressungen gibt es kein Urteil.
 page-off-by = Abweichung
 page-or = oder
 page-parameter = Parameter
 page-place = Stelle
+page-plain-extended = einfach → erweitert
 page-plain-model = einfaches Modell
-page-predicted = vorhergesagte Pressungen: einfach → erweitert
+page-predicted = vorhergesagte Pressungen
 page-promote = In Kraft setzen
 page-promote-question = Modellversion { $version } für die Live-Vorhersage in Kraft setzen?
 page-reason = Grund
@@ -2462,6 +2508,7 @@ page-highest = höchster
 page-in-use = in Gebrauch
 page-interval = 95-%-Intervall
 page-language = Sprache
+page-last-identifiable = zuletzt bestimmbar, { $run }
 page-link-live = live
 page-link-lost = keine Verbindung
 page-link-waiting = verbindet …
@@ -2487,6 +2534,7 @@ page-next-by = von { $who }, { $time }
 page-no-answer = Der Server antwortet nicht.
 page-no-reading-for = seit { $time } keine Messung
 page-no-reading-yet = noch keine Messung
+page-no-readings = keine Messwerte
 page-panel-blister = Blase
 page-panel-good = gut
 page-panel-scrap = Ausschuss
@@ -2511,6 +2559,7 @@ page-sensor-stray = nicht verwendet, folgt seiner Seite nicht
 page-sensors-bottom = Platte unten
 page-sensors-top = Platte oben
 page-skip = Zum Inhalt
+page-sort-by = Sortieren nach
 page-started = Zeit
 page-state = Zustand
 page-state-idle = leer
@@ -2527,7 +2576,7 @@ page-time-from-closing = Zeit ab dem Schließen [s]
 page-unanswered = Der Server antwortet nicht.
 page-value = Wert
 page-verdict = Urteil
-page-verdict-ambiguous = mehrdeutig
+page-verdict-ambiguous = Ursache eingegrenzt
 page-verdict-failed = gescheitert
 page-verdict-named = Ursache benannt
 page-verdict-no_effect = kein Effekt

@@ -55,6 +55,7 @@ system-no-such-file = No such file or directory
 system-not-a-folder = Not a directory
 system-not-allowed = Permission denied
 system-read-only = Read-only file system
+system-too-large = File too large
 toml-integer-too-long = a whole number with more than { NUMBER($digits) } digits; shorten it, or put it in quotes if it is a text
 toml-invalid = not valid TOML: not understood from line { NUMBER($line) }, column { NUMBER($column) } on
 toml-too-deep = tables or lists more than { NUMBER($deepest) } deep within one another; flatten them
@@ -231,32 +232,40 @@ foreign-variant-twice = this file's name matches two variants of '{ $of }', '{ $
 foreign-variant-unknown = this file's name matches none of the mapping's variants of '{ $of }' ({ $known }); add a [[variant]] with what holds for it, or rename the file
 frame-column-complex = column { $column } holds complex numbers; give their real part, or a column each
 frame-column-levels = the columns' labels have { NUMBER($levels) } levels; join them into one, as in '_'.join
+frame-index-levels = { $run }: the index has { NUMBER($levels) } levels ({ $names }); give one run at a time, as in table.loc[name] or table.groupby(level=0), or move levels into columns by reset_index
 frame-key-no-text = key { $key } of attrs is not a text; a header's keys are texts
+frame-times-here = give a column or an index time_s in seconds, or an index of instants (texts become some by pandas.to_datetime)
+frame-times-of-periods = its index is of periods, so take table.to_timestamp()
 frame-without-rows = { $run }: the table has no rows; a run needs at least one scan
 frame-without-start = the header lacks the time at which the run began; give { $key } as an instant with its time zone, or use time_s
-frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
+frame-without-times = { $run }: the table has no times; { $remedy } (columns are { $columns })
 given-key-no-text = key { $key } is not a text; give names as texts
 given-mapping-without-file = { $found }: a mapping explains the file of another logger; give that file's path, or rename the columns of the table and leave the mapping out
 given-no-effect = { $found }: an effect is given as an Effect
 given-no-header = { $found }: a header is given as a mapping of dotted keys, such as {"{"}"panel.thickness_mm": 16.0{"}"}
+given-no-language = language { $language }: there are words in { $languages }
 given-no-limits = { $found }: limits are given as a mapping of numbers by name, such as {"{"}"core_least_C": 110.0{"}"}
 given-no-mapping = { $found }: a mapping is given as the path of its TOML file
+given-no-measurement = { $found }: measurements are given as a list of tuples: a Run, its Moments, and its true coefficients by name
 given-no-model = { $found }: a model is given as the path of a model file, a ModelFile, or the result of a fit or a diagnosis
 given-no-names = { $found }: names are given as one text or several
 given-no-press = { $found }: a press is given as the path of a press file, or as what read_press returned
+given-no-press-name = { $found }: the name of a press is given as a text
 given-no-ranges = { $found }: ranges are given as a mapping of two numbers by name, such as {"{"}"press_time_s": (60.0, 240.0){"}"}
 given-no-resin = { $found }: a resin is given as the path of a resin file, or as a Resin
 given-no-run = { $found }: a run is given as the path of a CSV or Parquet file, a pandas table, or a Run; another library's table comes in by its to_pandas()
 given-no-settings = { $found }: settings are given as a mapping of numbers by name, such as {"{"}"press_time_s": 90.0{"}"}
+given-no-store = { $found }: a store is given as the path of its file, or as its postgresql:// address
 given-no-table = { $found }: a table is given as a pandas DataFrame; another library's comes in by its to_pandas()
+given-no-thermal-model = { $found }: a thermal model is given as ThermalModel(press)
 header-far-from-table = header key { $key } = { NUMBER($value) } { $unit } lies far from the { NUMBER($table) } { $unit } of { $material } in the material table; check it
 header-key-meant = header key { $key } is not known; did you mean { $meant }?
 header-key-twice = header key { $key } is given twice; keep one
 header-key-unknown = header key { $key } is not known; it is kept, and nothing uses it
 header-line-no-toml = '# { $text }' is not 'key = value' in TOML ({ $reason }); put text in quotes, start a remark with '##'
 header-material-unknown = material '{ $material }' is not in the table ({ $known }), and its { $missing } is given nowhere; correct the material, or give what is missing
-header-missing = header key { $key } is missing; add '# { $key } = ...'
-header-missing-material = header key { $key } is missing and material '{ $material }' is not in the table ({ $known }); add '# { $key } = ...'
+header-missing = header key { $key } is missing; add it to the header, in a file as '# { $key } = ...'
+header-missing-material = header key { $key } is missing and material '{ $material }' is not in the table ({ $known }); add it to the header, in a file as '# { $key } = ...'
 header-no-number = header key { $key } = { $value }: must be a number; correct the header
 header-no-such-place = header key { $key }: the press file has no such place
 header-not-finite = header key { $key } = { $value }: must be a finite number; correct it, or remove the key where it is not known
@@ -272,6 +281,8 @@ mapping-no-zone = must be a time zone such as Europe/Berlin
 mapping-target-twice = column.to = '{ $column }' occurs twice; each column of the run file has one source
 mapping-term-unknown = computed.to = '{ $to }': no [[column]] leads to its term '{ $column }'
 mapping-variant-of-nothing = required_variants: no [[variant]] has of = '{ $of }'
+play-pause = pause_s = { $value }: must be a number of seconds, at least 0
+play-scans = scans = { $value }: must be a whole number, at least 1
 press-boundary-needs-coefficient = kind = "air" needs coefficient, the name of its heat transfer coefficient
 press-boundary-needs-column = kind = "measured" needs column, the run file column with its temperature
 press-boundary-no-flux-of-run = from_run belongs to kind = "flux", not to { $kind }: it takes the flux from the run's header
@@ -294,6 +305,18 @@ press-sd-of-nothing = { $key }.sd: there is no number { $key } beside it
 press-table-not-rising = a table needs at least one row, its temperatures rising
 press-wire-as-temperature = would be read as a temperature, by '{ $pattern }'; rename the channel
 press-wire-twice = is the limit switch already; name another column
+printed-model = Model { $version } of press { $press }
+printed-more = ... and { $count } more
+printed-nothing-missing = nothing is missing: { NUMBER($percent, maximumFractionDigits: 0) } %, by { $runs } { $runs ->
+    [one] run
+   *[other] runs
+}
+printed-panels = panels: { $panels }
+printed-press = Press { $press }: { $chain }
+printed-run = Run { $run }: { $scans } { $scans ->
+    [one] scan
+   *[other] scans
+}, { $first } to { $last } s
 quality-form = { $text }: write column=quality, with one blank between two of them; rename a column that holds other words
 quality-no-such-column = { $text } names column { $column }, which is not there; correct the name
 quality-unknown = { $text }: { $quality } is no quality; they are { $known }
@@ -427,7 +450,7 @@ buffer-gone = buffer { $file } is gone ({ $error }): created again; { $lost } en
 buffer-refuses = buffer { $file }: { $error }; free space on its disk
 buffer-row-unreadable = buffer { $file }: an entry cannot be read ({ $error }); it is set aside in { $aside }
 buffer-sum-wrong = its checksum is wrong
-buffer-unusable = buffer { $file }: { $error }; check its folder, or give another file as buffer of [store]
+buffer-unusable = buffer { $file }: { $error }; check its disk and folder, or give another file as buffer of [store]; recording goes on, but while the store is away scans wait in memory
 event-twice = press { $press }: { $kind } is recorded at another moment of scan { $scan } already; the second is not kept as an event
 events-lost = press { $press }: { $count } press events lost: the store was unreachable for longer than there was room
 item-set-aside = press { $press }: the store does not take { $what }: { $why }; set aside in { $aside }, everything else is written
@@ -458,6 +481,7 @@ store-file-gone = store { $store }: the file was deleted or moved; a running ker
 store-foreign-view = store { $store }: view { $view } is not Kerntemp's and depends on one that this version changes; drop it, start again, and create it again
 store-gives-no-reason = it gives no reason
 store-header-wrong = { $file }: header key { $key } = { $value }: must be { $wanted }; correct it or remove the key
+store-is-closed = store { $store }: is closed; open it again by daq.open_store
 store-is-folder = store { $store }: is a folder; give the path of a file in it
 store-missing = store { $store }: does not exist; start kerntemp record, or give the right path
 store-newer = store { $store }: made by a newer version (schema { $schema }, this version knows { $known }); update Kerntemp or give another store
@@ -680,9 +704,9 @@ boundary-column-missing = { $run }: column '{ $column }' is missing; boundary.{ 
 boundary-empty = { $run }: column '{ $column }' holds no value; boundary.{ $end } needs it
 boundary-gap = { $run }: column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of boundary.{ $end } are bridged: cut the run there
 boundary-impossible = { $run }: column '{ $column }' = { $value } °C at time_s = { $time }: boundary.{ $end } must lie between { NUMBER($lower, maximumFractionDigits: 6) } and { NUMBER($upper, maximumFractionDigits: 6) } °C; empty the cell
+coefficient-impossible = { $where }: { $name } = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper) } W/m²K
 coefficient-missing = coefficient { $name } is missing; give all of { $all }
 coefficient-negative = { $name } = { $value } W/m²K: must be a finite number, at least 0
-coefficient-not-positive = { $where }: { $name } = { $value }: must be a number above 0 in W/m²K
 coefficient-unknown = { $where }: { $name }: press '{ $press }' has no such coefficient; it has { $known }
 header-ambient-impossible = { $run }: header key ambient.temperature_C = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
 header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; correct it, or leave it out where it is not known
@@ -692,6 +716,7 @@ header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; correct the press file
+live-sensor-of-press = live sensor of press { $press }
 live-time-not-rising = a scan at { NUMBER($time_s, maximumFractionDigits: 3) } s after one at { NUMBER($newest_s, maximumFractionDigits: 3) } s: times must rise; begin a new LiveSensor for another run
 live-value-no-number = column { $column }: { $value } is not a number; give NaN or None for a missing value
 load-column-empty = { $run }: load column '{ $column }' holds no value above 0: { $contacts } taken as independent of load; give the column, or take load out of the press file
@@ -699,18 +724,21 @@ load-column-missing = { $run }: load column '{ $column }' is missing (it has { $
 load-gap = { $run }: load column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a load are bridged: cut the run there, or leave the column out
 load-impossible = { $run }: load column '{ $column }' = { $value } at time_s = { $time }: must be a finite number, not below 0; empty the cell, or correct the column's sign or zero
 load-zero-while-closed = { $run }: load column '{ $column }' = { $value } at time_s = { $time }, where the press is closed: must be above 0; empty the cell, or correct the column's sign or zero
-model-file-adequacy = { $file }: adequacy is not as `fit` writes it ({ $error }); leave the key out
-model-file-coefficient-not-positive = { $file }: coefficients.{ $name }.value = { $value }: must be above 0 W/m²K
+model-file-covariance = { $file }: covariance of { $row } and { $column } = { $value }: no covariance matrix has that there; leave the key covariance out, or fit again
+model-file-covariance-of = { $file }: covariance.names has { $name }, which the file gives no value of; it gives { $known }
+model-file-covariance-shape = { $file }: covariance.matrix is { $shape }, and covariance.names has { $names }; it must have a row and a column for each name
+model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } = { $value } ({ $effect }) lies outside its limits { NUMBER($lower, maximumFractionDigits: 9) } to { NUMBER($upper, maximumFractionDigits: 6) } { $unit } ({ $source })
+model-file-effect-twice = { $file }: effects.{ $number }: { $effect } stands in effects twice; keep one
 model-file-effect-unnamed = { $file }: effects.{ $number } has no name
+model-file-effect-without-size = { $file }: effects.{ $number }: { $effect } has no size; give under parameters { $known }
+model-file-key-meant = { $file }: key '{ $key }' is not known; did you mean { $meant }?
 model-file-no-coefficients = { $file }: not a model file: key 'coefficients' is missing
 model-file-no-json = { $file }: not a JSON model file: { $error }
 model-file-no-numbers = { $file }: { $place } = { $value }: needs numbers value and sd
 model-file-no-table = { $file }: { $place } must be an object of NAME: {"{"}value, sd{"}"}
-model-file-not-finite = { $file }: { $place }.value is not finite
-model-file-panels = { $file }: panels is not as `fit` writes it ({ $error }); leave the key out
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } has { $known }
-model-file-scatter = { $file }: scatter is not as `fit` writes it ({ $error }); leave the key out
-model-file-sisters = { $file }: sisters is not as the nightly job writes it ({ $error }); leave the key out
+model-file-part = { $file }: { $key } is not as fit, diagnose and the nightly job write it; correct it, or leave the key out
+model-file-sd = { $file }: { $place }.sd = { $value }: a standard deviation must be a number, at least 0
 model-file-unreadable = { $file }: cannot read the model file: { $error }
 parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } lies before { $earlier } = { $early }; check column closed
@@ -752,7 +780,7 @@ channel-empty = channel { $column } holds no usable value and is left out
 channel-loose = channel { $column } departs from its face by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms: it may be loose, and is left out
 channel-swapped = channel { $column } follows another place ({ $place }): was it swapped? It is left out
 run-no-panel-channel = { $run }: no usable panel channel; the press file's sensors name { $named }
-run-press-state-unknown = { $run }: press state unknown: no panel column and no column 'closed'; add one of them, or take a press file without open contacts
+run-press-state-unknown = { $run }: press state unknown: no reading of the panel and no column 'closed'; add one of them, or take a press file without open contacts
 
 ## softsensor.fitting: fits, warnings, what to measure
 
@@ -949,8 +977,9 @@ verdict-few-runs-off = { $runs } { $runs ->
 verdict-left = All runs share a residual that no cause of the catalogue explains.
 verdict-left-at = All runs share a residual that no cause of the catalogue explains: { $stretch }.
 verdict-not-described = No verdict is possible: the model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Check the press file, the runs' headers and which column is which.
+verdict-panels-differ = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet only if their panels differ from one another by more than panels of one product do: something unknown differs from run to run.
+verdict-panels-not-as-given = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet only if all their panels conduct or store otherwise than the headers give, by more than panels of one product do. Check thickness, density, conductivity and heat capacity.
 verdict-plain-model-explains = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-plain-model-explains-panels = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, and to { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K if each panel may conduct and store heat a little differently, as real panels do; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Without them, the plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-something-beyond-chance = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet with a cause added it fits them better than by chance. That this improves runs left out has not been shown.
 verdict-suspected = Suspected, not proven: { $causes }.
@@ -1029,10 +1058,10 @@ rehearsal-wrong = another cause named
 
 advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. The live sensor decides when to open.
 advise-best = Press for { NUMBER($seconds, maximumFractionDigits: 0) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with { NUMBER($percent, maximumFractionDigits: 1) } %
-advise-cure-without-resin = a limit of cure needs the resin's kinetics; give --resin
+advise-cure-without-resin = a limit of cure needs the resin's kinetics; give a resin file too
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh a panel, { NUMBER($panels, maximumFractionDigits: 0) } panels an hour
 advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } cents a panel
-advise-goal-unknown = --goal { $goal }: must be one of { $known }
+advise-goal-unknown = goal { $goal }: must be one of { $known }
 advise-limit-core_least = core too cold
 advise-limit-core_most = core too hot
 advise-limit-cure_bottom = lower face undercured
@@ -1041,14 +1070,14 @@ advise-limit-steam_most = too much steam
 advise-load-unit = press { $press }: the model follows the load in column { $column }, whose unit is not given: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
 advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits are known to hold with the wanted probability.
 advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
-advise-no-limit = no limit is given; give --resin with [limits], --core-least or --core-most
-advise-none = No program within the ranges keeps all limits. Nearest: { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-no-limit = no limit is given; give a resin file with [limits], or the least or the most that the core is to reach
+advise-none = No program within the ranges keeps all limits. Nearest: platens { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Panel: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': must be KEY=VALUE, such as panel.thickness_mm=16
-advise-press-time-narrow = --range press_time_s={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: press times are looked at { NUMBER($step) } s apart, and none lies in between; widen it
+advise-press-time-narrow = range of press_time_s from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: press times are looked at { NUMBER($step) } s apart, and none lies in between; widen it
 advise-press-without-states = { $press }: nothing in the press file opens and closes, so there is no press time
 advise-pressure = Pressure: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
-advise-pressure-unknown = --range { $name }: the model does not know what pressure does, as nothing in it follows a load; leave it out, or diagnose runs of different pressures first
+advise-pressure-unknown = range of { $name }: the model does not know what pressure does, as nothing in it follows a load; leave it out, or diagnose runs of different pressures first
 advise-source-coefficients = the contacts of this pressing (the live sensor learns them while it presses; even contacts help)
 advise-source-effects = the size of the diagnosed causes (more runs)
 advise-source-kinetics = the resin's kinetics (a DSC of this paper)
@@ -1056,6 +1085,7 @@ advise-source-platens = the platens' true temperature (calibrate them)
 advise-source-sorption = the board's isotherm (a sorption test)
 plan-best = Best: { $settings }. { $prospect }
 plan-best-is-usual = Best: the usual settings. { $prospect }
+plan-more = ... and { $count } more
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = One brings it to ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-not-described = The model does not describe these runs, so what a further pressing would bring cannot be forecast.
@@ -1064,9 +1094,9 @@ plan-open-causes = Not distinguished: { $causes }
 plan-open-coefficient = { $name } is known to ±{ NUMBER($percent, maximumFractionDigits: 0) } % (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = The core at the opening is known to ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K for what all pressings share (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
 plan-open-suspected = Suspected, not proven: { $causes }
-plan-range-unknown = --range { $name }: no such setting here; known are { $known }
+plan-range-unknown = range of { $name }: no such setting here; known are { $known }
 plan-range-unreadable = --range '{ $given }': must be NAME=LOW:HIGH, such as thickness_mm=8:19
-plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
+plan-range-wrong = range of { $name } from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
 plan-repeated = Repeating the usual settings: { $prospect }
 plan-runs = { $runs ->
     [one] { $runs } is enough
@@ -1163,13 +1193,13 @@ night-compared =
     }: residual of single sensors{ $still ->
         [yes] { " while nothing moves" }
        *[no] { "" }
-    }, own contacts fitted, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
+    }, own contacts fitted, from { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } to { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
         [yes] { $runs } runs that took no part
        *[no] { $runs } runs of the diagnosis
     }{ $predicted }{ $core }{ $against }
 night-compared-against = { "; " }{ $what }
-night-compared-core = { ", " }core { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K live
-night-compared-predicted = { ", " }predictions { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
+night-compared-core = { ", " }core from { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } to { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K live
+night-compared-predicted = { ", " }predictions from { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } to { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
 night-diagnosis-confirms = the diagnosis confirms it
 night-failed = { $press }: the nightly job failed: { $why }
 night-first-model = first model, coefficients of { $runs } runs
@@ -1221,6 +1251,7 @@ run-nothing-to-fit = run { $run } has no panel sensors: nothing to fit
 sense-compiling = compiling the model, once after an installation or an update: about a minute
 sense-following = following { $presses }
 sense-follows-run = following run { $run }
+sense-model-not-taken = the live sensor cannot take the model in force and goes on with { $version }: { $why }
 sense-takes-model = the live sensor takes model { $version }
 sense-waiting = waiting for scans
 
@@ -1295,13 +1326,14 @@ night-effects = effects
 night-fitted-with = fitted with
 night-in-force = Model in force
 night-no-diagnosis = None yet.
-night-no-drift = Every coefficient is where it used to be.
+night-no-drift = No coefficient has shown a drift.
 night-no-effects = none
 night-no-model = There is no model yet: { $reason }.
 night-not-fitted = not fitted
 night-parameters = parameter
 night-promoted = Model { $version } was promoted: { $reason }.
 night-residual = surface residual
+night-run-not-described = { $rmse }, not described by the model
 night-runs = Newest runs
 night-spread = a run may differ by
 night-started = started
@@ -1319,6 +1351,7 @@ night-versions = Versions
 night-warnings = Warnings in the journal
 night-why = why
 night-with-guesses = with the press file's guesses
+night-with-press-file = press file
 
 ## softsensor.report: reports of fits and diagnoses
 
@@ -1327,9 +1360,12 @@ kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFrac
 known-all = all coefficients
 known-none = none of the coefficients
 paper-adaptive = adaptive
+paper-boundary-not-measured = { $boundary } is { $kind }; the paper's solver takes measured boundaries alone: compare runs of a press whose boundaries are columns
 paper-exact = exact
 paper-exact-sensitivities = exact
 paper-finite-differences = finite differences
+paper-no-measurement = there is no measurement; give at least one
+paper-none-judged = judged = { $judged }: none of them is fitted here ({ $known }); name at least one of these
 paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSignificantDigits: 1) } %: the slope changes sign { $adaptive ->
     [one] once
    *[other] { $adaptive } times
@@ -1337,6 +1373,7 @@ paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSigni
     [one] once
    *[other] { $exact } times
 } with the exact one.
+paper-truth-missing = the true value of { $names } is missing; give one for each coefficient that is not fixed
 report-95-bootstrap = 95 % (bootstrap)
 report-95-of-mean = 95 % of the mean (t)
 report-95-of-runs = 95 % of its runs
@@ -1373,7 +1410,7 @@ report-diagnosis-basis = Press “{ $press }”, { $runs } { $runs ->
        *[other] runs
     }
 report-diagnosis-of = { $verdict } – press { $press }
-report-error-core = error of the core against core thermocouples
+report-error-core = error of the core, of panels as their headers give them, against core thermocouples
 report-error-core-predicted = error at core thermocouples, runs predicted
 report-every-run = Every run by itself
 report-every-run-joint = Every run with what it borrows from the others
@@ -1407,7 +1444,7 @@ report-legend-every-run = W/m²K, ± half the 95 % interval. Italics: not identi
 report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they leave the picture, and the largest is written in.
 report-legend-normalised = Dots: single runs over the mean, in their order. Bars: ± σ.
 report-legend-profile = A profile shows how much worse the model fits the run the further a coefficient is moved while all other unknowns follow; where it stays below the line the value fits as well (95 %). A profile that does not cross the line on a side is open there.
-report-legend-run = Dots: mean of the readings; tinted about them: from the lowest to the highest sensor. Grey: the plain model with this run's own coefficients. Orange: with the cause added. Dashed: core. Shaded: press closed; below, where the plain model is most kelvins off, and what was measured there.
+report-legend-run = Dots: mean of the readings; tinted about them: from the lowest to the highest sensor. Grey: the plain model with this run's own coefficients. Orange: with the cause added. Dashed: core, of the panel as its header gives it. Shaded: press closed; below, where the plain model is most kelvins off, and what was measured there.
 report-mean = mean
 report-mean-note = Mean and σ over the runs in which the coefficient is identifiable. Joint median and true spread: all runs estimated together as draws from one log-normal population, the error of each single estimate taken out.
 report-measured-against-simulated = Measured against simulated
@@ -1497,7 +1534,7 @@ report-why = Why
 report-why-and-remedy = why, and which measurement fixes it
 report-with-guesses-kelvin = with guesses [K]
 report-worst-run = The run with the worst fit
-report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common and { $worth }. The chance that this is luck, by flipping signs of whole runs: { $sureness }
+report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common and { $worth }. The chance that this is luck, by flipping signs of whole runs or by the likelihood of runs left out: { $sureness }
 
 ## api: when to open
 
@@ -1773,6 +1810,7 @@ terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 shows where)
 terminal-until-leaves-too-little = { $run }: --until { $until } leaves { $rows } of { $all } rows; the first is at time_s = { $first }: give a later moment
 terminal-until-no-column = { $run }: --until names column '{ $column }'; the run has { $known }
 terminal-until-no-run = --until { $until }: no run '{ $run }' is given; runs are { $known }
+terminal-until-not-reached = --until { $until } does not come in { $runs }: nothing is left out there; give seconds, or a temperature that is reached
 terminal-until-not-read = --until { $until }: give seconds (900), a temperature of a column (bottom_1=140) or one of { $events }, with RUN: before it for one run alone
 terminal-written = written: { $path }
 terminal-written-several = written: { $files } files in { $folder }
@@ -1988,7 +2026,7 @@ demo-column-opening = opening
 demo-column-run = run
 demo-column-scans = scans
 demo-column-surface = residual
-demo-column-surface-unit = before -> after fit
+demo-column-surface-unit = before, after fit
 demo-column-worst = worst
 demo-compiling = First start: compiling the model takes about a minute ...
 demo-core-off = core { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
@@ -2022,7 +2060,7 @@ demo-not-found = { $runs ->
 demo-not-kept = Nothing of it is kept; --data DIR keeps it all.
 demo-not-promoted = Model { $version } was not promoted: { $why }
 demo-page = Page     { $address }
-demo-pressing = Run { $run }: { $scans } scans, closing { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s and opening { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s off, residual { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, { $core }
+demo-pressing = Run { $run }: { $scans } scans, closing { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s and opening { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s off, residual from { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } to { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, { $core }
 demo-scans-left-out = { $left_out } of { $all } scans were left out
 demo-store = Store    { $path }
 demo-stored = Compared with the virtual press: { $runs } runs, { $scans } scans
@@ -2078,6 +2116,7 @@ page-band-from-start = start and platen temperatures
 page-band-from-suspected = suspected causes
 page-band-from-timing = moments of the press
 page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
+page-core-behind = The live sensor has not worked out the last { $time } of the readings: the core's curve ends before them.
 page-core-foreseen = Core, forecast if the press stays closed
 page-cure = Cure, weaker face
 page-energy = Heat taken up
@@ -2216,10 +2255,14 @@ page-rmse = Fit RMSE
 page-rmse-hint = RMSE as in the fit: every good channel, its constant offset removed, the whole run.
 page-scans = scans
 page-scatter = One number over another
-page-scatter-newest = The newest { $count } runs found; a narrower search finds others.
-page-scatter-of = { $count ->
-        [one] One run
+page-scatter-newest = Of the newest { $count } runs found; a narrower search finds others.
+page-scatter-of = Shows { $shown } of { $count ->
+        [one] one run
        *[other] { $count } runs
+    }{ $lacking ->
+        [0] { "." }
+        [one] { "; one has no value for one of the two numbers." }
+       *[other] ; { $lacking } have no value for one of the two numbers.
     }
 page-scatter-right = to the right
 page-scatter-up = up
@@ -2325,19 +2368,20 @@ page-order-of-runs = order of runs
 
 ## page: diagnosis
 
-page-all-sensors = all sensors: plain → extended
+page-all-sensors = all sensors
 page-cause = Cause
-page-core = core: plain → extended
+page-core = core
 page-curves = Measured and simulated: { $run }
 page-curves-hint = The run the plain model fits worst. Dots: mean of the sensors. Below: measured minus model.
 page-curves-residual = { $place }: measured minus model
 page-earlier = Earlier diagnoses
 page-effects = Effects
 page-evidence = Evidence: gain on unseen runs by cause
-page-explains = explains
+page-evidence-other = The longest bar, { $cause }, is not the cause above: a bar is what a cause alone saves, and the choice rests on how surely the runs prefer a cause.
+page-explains = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common
 page-gain-left-out = less error in runs left out, their own contacts fitted
 page-gain-predicted = less error in predicted runs
-page-heldout = left out, own contacts fitted: plain → extended
+page-heldout = left out, own contacts fitted
 page-heldout-gain = gain on runs left out
 page-luck = chance that it is luck
 page-measured-there = Measured there
@@ -2350,12 +2394,14 @@ page-no-gain = No cause lowers the error on unseen runs.
 page-no-models = No model version yet.
 page-noise-floor = noise floor
 page-nowhere = Nowhere beyond the noise.
+page-nowhere-sought = Not looked for: there is no verdict on these pressings.
 page-off-by = Off by
 page-or = or
 page-parameter = Parameter
 page-place = Place
+page-plain-extended = plain → extended
 page-plain-model = plain model
-page-predicted = predicted runs: plain → extended
+page-predicted = predicted runs
 page-promote = Promote
 page-promote-question = Use model version { $version } for the live prediction?
 page-reason = Reason
@@ -2449,6 +2495,7 @@ page-highest = highest
 page-in-use = in use
 page-interval = 95 % interval
 page-language = Language
+page-last-identifiable = last identifiable, { $run }
 page-link-live = live
 page-link-lost = no connection
 page-link-waiting = connecting …
@@ -2474,6 +2521,7 @@ page-next-by = by { $who }, { $time }
 page-no-answer = The server does not answer.
 page-no-reading-for = no reading for { $time }
 page-no-reading-yet = no reading yet
+page-no-readings = no readings
 page-panel-blister = blister
 page-panel-good = good
 page-panel-scrap = scrap
@@ -2498,6 +2546,7 @@ page-sensor-stray = not used, does not follow its face
 page-sensors-bottom = Panel, bottom
 page-sensors-top = Panel, top
 page-skip = Skip to content
+page-sort-by = Sort by
 page-started = Time
 page-state = State
 page-state-idle = no panel
@@ -2514,7 +2563,7 @@ page-time-from-closing = Time from closing [s]
 page-unanswered = The server does not answer.
 page-value = Value
 page-verdict = Verdict
-page-verdict-ambiguous = ambiguous
+page-verdict-ambiguous = cause narrowed down
 page-verdict-failed = failed
 page-verdict-named = cause named
 page-verdict-no_effect = no effect

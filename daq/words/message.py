@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from decimal import Context
 from functools import cache
 from importlib import resources
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, TypeAlias, Union
+
+from daq.address import without_secrets
 
 Argument: TypeAlias = Union[str, int, float, "Message", tuple["Argument", ...]]
 """Texts are shown as they are (names, columns, paths), numbers in the language's way, messages in its words."""
@@ -23,6 +26,9 @@ _LONGEST = 2500
 """Characters of an argument that fluent puts into a sentence (its MAX_PART_LENGTH)."""
 _BEGINNING = 200
 """Characters kept of a text that is longer, so that what to do, behind it, is still read. (By hand, 2026-11)"""
+_LARGEST = 2**53
+"""Numbers beyond are shown by their power of ten: there is no digit for each in a double (IEEE 754), and fluent
+fails at more than 28 of them."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +40,16 @@ class Message:
     arguments: Mapping[str, Argument] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Freeze the arguments; lists become tuples, and a number that is none the words for that."""
+        """Freeze the arguments: lists become tuples, no number the words for that, passwords three stars."""
         frozen = {name: _frozen(value) for name, value in self.arguments.items()}
         object.__setattr__(self, "arguments", MappingProxyType(frozen))
 
     def __str__(self) -> str:
-        """Return it in English."""
-        return words(self)
+        """Return it in the language that is read here: English but where a notebook chose another (`choose`)."""
+        return words(self, chosen())
 
     def __format__(self, specification: str) -> str:
-        """Format it as its English text."""
+        """Format it as its text."""
         return format(str(self), specification)
 
     def __hash__(self) -> int:
@@ -141,6 +147,8 @@ class Catalogue:
             return _shortened(", ".join(str(self._argument(one)) for one in value), _LONGEST)
         if isinstance(value, str):
             return _shortened(value, _BEGINNING)
+        if abs(value) > _LARGEST:
+            return str(Context(prec=6).create_decimal(value).normalize()).lower()
         return self._number(value, useGrouping=False)
 
 
@@ -179,6 +187,21 @@ def catalogue_of(language: str) -> Catalogue:
     return Catalogue(language, (_folder() / f"{language}.ftl").read_text(encoding="utf-8"))
 
 
+_CHOSEN = [ENGLISH]
+"""The language that is read in this process, in one place for all its threads and a notebook's cells."""
+
+
+def choose(language: str) -> None:
+    """Choose the language of ``str(message)``; services never do, since logs and SQL are English."""
+    catalogue_of(language)
+    _CHOSEN[0] = language
+
+
+def chosen() -> str:
+    """Return the language that is read in this process."""
+    return _CHOSEN[0]
+
+
 def words(said: Message | str, language: str = ENGLISH) -> str:
     """Return a message in a language; a plain text as it is."""
     return said if isinstance(said, str) else catalogue_of(language).words(said)
@@ -192,8 +215,10 @@ def sentences(said: Iterable[Message | str], language: str = ENGLISH) -> str:
 def _frozen(value: Any) -> Argument:
     if isinstance(value, list | tuple):
         return tuple(_frozen(one) for one in value)
-    if isinstance(value, str | Message):
+    if isinstance(value, Message):
         return value
+    if isinstance(value, str):
+        return without_secrets(value)
     if isinstance(value, bool) or not isinstance(value, Real):
         return str(value)
     if isinstance(value, Integral):
@@ -208,7 +233,11 @@ def _number_or_words(value: Any, **how: Any) -> Any:
     """Format a number; what stands for one that is not known is words already."""
     from fluent.runtime.types import fluent_number
 
-    return value if isinstance(value, str) else fluent_number(value, **how)
+    if isinstance(value, str):
+        return value
+    if value == 0 and "maximumSignificantDigits" in how:
+        how = {"maximumFractionDigits": 0}  # nought has no significant digits, and Babel writes 0.0
+    return fluent_number(value, **how)
 
 
 def _span(value: Any) -> Any:

@@ -4,7 +4,8 @@
 from it, or says why it stops; `explains_the_rest` says whether it stays. `conclude` is asked at the end and gives
 the verdict, from three questions:
 
-1. Is something left? A pattern that the runs share, or a residual well above what the readings' own noise leaves.
+1. Is something left? A pattern that the runs share, a residual well above what the readings' own noise leaves, or
+   panels that would have to differ more than panels of one product do.
 2. Does a named cause explain it? Its law may be off, so a further one must explain nearly all that it leaves.
 3. Is the gain real? On runs left out, with an interval above nothing; on runs predicted from their headers alone
    not surely a loss, nor a larger one than that gain, unless the model leaves no more than noise and runs left out
@@ -309,6 +310,10 @@ class Remains:
     """Its residual over what noise leaves."""
     described: bool
     """Not so far off that nothing can be said."""
+    panels_as_given: bool = True
+    """The middle of the panels that it needs is as near to those given as panels are."""
+    panels_alike: bool = True
+    """It needs panels to differ among themselves no more than panels of one product do."""
 
 
 @dataclass(frozen=True)
@@ -354,13 +359,21 @@ def conclude(case: VerdictBasis) -> Conclusion:
         return Conclusion(Verdict.NOT_DESCRIBED)
     if few:
         return Conclusion(Verdict.TOO_FEW_RUNS)
-    beyond_chance = case.suspected or bool(case.proofs)
-    return Conclusion(Verdict.UNKNOWN_EFFECT if beyond_chance or left.times_noise > EXCESS else Verdict.NO_EFFECT)
+    nothing = not (case.suspected or case.proofs) and left.times_noise <= EXCESS and left.panels_as_given
+    return Conclusion(Verdict.NO_EFFECT if nothing else Verdict.UNKNOWN_EFFECT)
 
 
 def something_left(left: Remains, runs: int) -> bool:
-    """Return whether the runs share a pattern that the named causes do not explain; few runs cannot show one."""
+    """Return whether named causes leave something; few runs cannot show it.
+
+    A pattern that the runs share, or panels that differ among themselves more than panels of one product do.
+    """
+    return runs >= FEW_RUNS and (not left.panels_alike or pattern_left(left, runs))
+
+
+def pattern_left(left: Remains, runs: int) -> bool:
+    """Return whether the runs share a pattern that named causes do not explain."""
     level = max(ALPHA_PATTERN, 0.5 ** (runs - 1))
-    if runs < FEW_RUNS or left.pattern.p_value > level or left.pattern.energy < NEGLIGIBLE_K**2:
+    if left.pattern.p_value > level or left.pattern.energy < NEGLIGIBLE_K**2:
         return False
     return left.explained < EXPLAINED

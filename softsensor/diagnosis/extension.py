@@ -1,8 +1,8 @@
 """Models of a whole campaign: a base or extended model fitted to all runs at once, each with its own nuisances.
 
 Least squares over runs r with effect parameters theta and campaign levels psi shared and eta_r of the run's
-own (log coefficients, moments, start temperature, platen errors, sensor offsets, and for causes that lie
-in the panel how much of them this panel has):
+own (log coefficients, moments, start temperature, platen errors, sensor offsets, what the panel conducts and
+stores otherwise than given, and for causes that lie in the panel how much of them this panel has):
 
     sum_r |W (y_r - f(theta, eta_r))|^2 + |(eta_r - psi) / s|^2 + |prior(theta)|^2
 
@@ -21,7 +21,7 @@ from scipy.linalg import solve_triangular
 
 from daq.printed import on_screen
 from daq.records import Array
-from softsensor.diagnosis.extension_unknowns import Unknowns, run_values, shared_cost, start_eta
+from softsensor.diagnosis.extension_unknowns import Unknowns, panel_shares, run_values, shared_cost, start_eta
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.digest import Digest, Whitened
 from softsensor.signals.instrument import scan_sd
@@ -29,6 +29,10 @@ from softsensor.signals.unknown import Unknown
 
 STUCK = 3.0
 """A run whose misfit is so many times the usual or the noise's may sit in a side valley. By hand, 2026-11."""
+
+MOST_OWN = 5.0
+"""Standard deviations that a panel's own constant lies off at most; one in two million panels lies further off.
+Where a model is far off they would go anywhere (26 in moist pine). Derived."""
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -44,15 +48,17 @@ class RunState:
     """Of the residual by eta, offsets last."""
     shared_jacobian: Array
     offsets: Array
-    """Of each signal [K], of the insertion [s], and how much later than the others each signal is read [s]."""
+    """Of each signal [K], of the insertion [s], how much later than the others each signal is read [s], and the
+    panel's own constants (standard deviations)."""
     misfit: Array
     """Data minus model minus offsets (bins, signals). [K]"""
     model: Array
     """(bins, signals). [°C]"""
     core: Array
-    """(bins). [°C]"""
+    """Of the panel as its header gives it: its own constants enter, to first order, what the faces read alone
+    (bins). [°C]"""
     validation: Mapping[str, Array]
-    """Model at validation channels (bins). [°C]"""
+    """Model at validation channels, of the panel as its header gives it, too (bins). [°C]"""
     shift: Array
     """What offsets and insertion moment took out (bins, signals). [K]"""
 
@@ -113,10 +119,11 @@ def evaluate(
     extra = _linear_rows(digest, model)
     offset_rows, count = data(extra), extra.shape[-1]
     late = np.full(len(digest.signals), scan_sd(digest.period_s))
-    prior = 1.0 / np.concatenate([digest.offset_sd, [digest.insertion_sd], late])
+    own_panel = np.full(digest.panel_rows.shape[-1], data.panel_sd)
+    prior = 1.0 / np.concatenate([digest.offset_sd, [digest.insertion_sd], late, own_panel])
+    most = np.concatenate([np.full(count - len(own_panel), np.inf), MOST_OWN * own_panel])
     plain = data(np.where(digest.valid, digest.y - model, 0.0))
-    normal = offset_rows.T @ offset_rows + np.diag(prior**2)
-    offsets: Array = np.asarray(np.linalg.solve(normal, offset_rows.T @ plain), dtype=np.float64)
+    offsets, free = bounded_offsets(offset_rows, plain, prior, most)
     shared = {name: i for i, name in enumerate(layout.names)}
     centre = np.array([u.centre + (theta[shared[u.shared]] if u.shared in shared else 0.0) for u in unknowns])
     sd = np.array([u.sd for u in unknowns])
@@ -145,17 +152,49 @@ def evaluate(
         jacobian[n + j, j] = 1.0 / sd[j]
         if u.shared in shared:
             outer[n + j, shared[u.shared]] = -1.0 / sd[j]
-    jacobian[:n, k:] = offset_rows
+    jacobian[:n, k:] = offset_rows * free
     jacobian[n + k :, k:] = np.diag(prior)
     return RunState(eta, residual, jacobian, outer, offsets, misfit, model, core, validation, shift)
+
+
+def bounded_offsets(rows: Array, plain: Array, prior: Array, most: Array) -> tuple[Array, np.ndarray]:
+    """Return what enters linearly, by least squares, and which of it is free: what would go beyond `most` is held.
+
+    Parameters
+    ----------
+    rows, plain
+        Whitened (entries, n) and (entries).
+    prior
+        One over the standard deviations about zero (n).
+    most
+        Limits either way (n).
+    """
+    found, free = np.zeros(len(prior)), np.ones(len(prior), dtype=bool)
+    while True:
+        some = rows[:, free]
+        normal = some.T @ some + np.diag(prior[free] ** 2)
+        found[free] = np.linalg.solve(normal, some.T @ (plain - rows[:, ~free] @ found[~free]))
+        beyond = free & (np.abs(found) > most)
+        if not beyond.any():
+            return found, free
+        found[beyond] = np.sign(found[beyond]) * most[beyond]
+        free &= ~beyond
+
+
+def own_constants(digest: Digest, state: RunState) -> list[tuple[Unknown, float]]:
+    """Return what a run's panel conducts and stores otherwise than given, as fitted, within what a panel can."""
+    own = list(panel_shares(digest))[: digest.panel_rows.shape[-1]]
+    fitted = state.offsets[len(state.offsets) - len(own) :]
+    return [(u, float(np.clip(u.sd * share, u.lower, u.upper))) for u, share in zip(own, fitted, strict=True)]
 
 
 def _linear_rows(digest: Digest, model: Array) -> Array:
     """Return what enters linearly (bins, signals, n).
 
-    An offset for each signal, the insertion a moment later, and each signal read later than the others: channels
-    are scanned one after the other, by the same in all runs, which must not pass for a cause. What is late in all
-    of them is left to the moments: freed beside them, one run of twelve at 1 Hz ended in a side valley.
+    An offset for each signal, the insertion a moment later, each signal read later than the others, and what the
+    panel conducts and stores otherwise than given. Channels are scanned one after the other, by the same in all
+    runs, which must not pass for a cause. What is late in all of them is left to the moments: freed beside them,
+    one run of twelve at 1 Hz ended in a side valley.
     """
     bins, count = model.shape
     rows = np.zeros((bins, count, 2 * count + 1))
@@ -167,7 +206,7 @@ def _linear_rows(digest: Digest, model: Array) -> Array:
     before = digest.time < digest.moments.closed_s - 0.3
     if before.sum() > 2:
         rows[before, :, count] = -np.gradient(model[before], digest.time[before], axis=0)
-    return rows
+    return np.concatenate([rows, digest.panel_rows], axis=-1)
 
 
 def fit_campaign_model(

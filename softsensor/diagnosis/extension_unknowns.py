@@ -157,13 +157,8 @@ def _timing(digest: Digest) -> Iterator[Unknown]:
         yield Unknown(OPENING_RAMP, 0.0, OPENING_RAMP_SD_S)
 
 
-def with_own_panels(layout: Unknowns, digests: Sequence[Digest]) -> Unknowns:
-    """Return the same where each panel's constants may differ from those given by what panels differ by."""
-    own = tuple((*u, *_panel_shares(d)) for u, d in zip(layout.unknowns, digests, strict=True))
-    return replace(layout, unknowns=own)
-
-
-def _panel_shares(digest: Digest) -> Iterator[Unknown]:
+def panel_shares(digest: Digest) -> Iterator[Unknown]:
+    """Yield by what a panel's constants may differ from those given, as panels of one product do."""
     doubts = fit_doubts(digest.run, digest.cases[False].press, PANEL_TO_PANEL)
     ratio = conductivity_offset.EFFECT.parameters[0]
     conductivity, capacity, thick = (

@@ -10,13 +10,13 @@ import numpy as np
 from daq.printed import lines_of, on_screen
 from daq.records import Array
 from daq.words import Message
-from softsensor.diagnosis.decision import Verdict
+from daq.words.message import words
+from softsensor.diagnosis.decision import Remains, Verdict
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.laws.choice import Law
 from softsensor.diagnosis.numbers import Errors, Interval
 from softsensor.diagnosis.search import Candidate, SettledModel
-from softsensor.diagnosis.sign_flips import PatternTest
 from softsensor.effects import sensor_fault
 from softsensor.heat.model_file import ModelFile
 from softsensor.signals.screen import ChannelFault
@@ -105,13 +105,11 @@ class Diagnosis:
     """Faulty channels by run."""
     stages: tuple[SettledModel, ...]
     """Fits: the plain model, then with each cause."""
-    left: PatternTest
-    """Of what the last fit leaves in common to the runs."""
+    remains: tuple[Remains, ...]
+    """What each of these fits leaves."""
     rivals: tuple[tuple[str, Array], ...]
     """The first cause and the runners-up, with what each run, left out, saves by them."""
     warnings: tuple[Message, ...] = ()
-    own_panels_K: float | None = None  # noqa: N815
-    """What the plain model leaves where each panel's constants are its own, if that was asked. [K]"""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
 
@@ -126,6 +124,11 @@ class Diagnosis:
     def final(self) -> SettledModel:
         """The last fit."""
         return self.stages[-1]
+
+    @property
+    def left(self) -> Remains:
+        """What the last fit leaves."""
+        return self.remains[-1]
 
     @property
     def predicted_gain(self) -> Gain:
@@ -150,9 +153,9 @@ class Diagnosis:
             "noise_floor_K": self.noise_floor_K,
             "where": list(self.where),
             "candidates": list(self.candidates),
-            "next_measurement": str(self.next_measurement),
+            "next_measurement": words(self.next_measurement),
             "next_measurement_said": self.next_measurement.to_json(),
-            "warnings": [str(one) for one in self.warnings],
+            "warnings": [words(one) for one in self.warnings],
             "warnings_said": [one.to_json() for one in self.warnings],
             "seconds": self.seconds,
         }

@@ -51,7 +51,8 @@ class Errors:
     rmse_K: float  # noqa: N815
     rmse_raw_K: float  # noqa: N815
     heldout_rmse_K: float  # noqa: N815
-    """Runs left out, each with its own contacts and offsets fitted to it."""
+    """Runs left out, each with its own contacts and offsets fitted to it, and its panel's own constants unless a
+    cause that these can make up for is in the model."""
     core_rmse_K: float | None  # noqa: N815
     predicted_rmse_K: float  # noqa: N815
     """Runs predicted from header, platens and the other runs alone, sensors' offsets within."""

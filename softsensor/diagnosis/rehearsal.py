@@ -31,8 +31,8 @@ from scipy.special import betaincinv
 from daq.press.press_file import Press
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
-from softsensor.diagnosis.extension import RunState
-from softsensor.diagnosis.extension_unknowns import Unknowns, logarithm_of, run_values
+from softsensor.diagnosis.extension import RunState, own_constants
+from softsensor.diagnosis.extension_unknowns import logarithm_of, run_values
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.search import candidates_for
 from softsensor.diagnosis.verdict import diagnose
@@ -210,7 +210,9 @@ def campaign_of(found: Diagnosis) -> Campaign:
     model, theta = layout.model, stage.fit.theta
     columns = {c for faults in found.faults.values() for c in (fault.column for fault in faults)}
     runs = tuple(
-        _rehearsed(layout, run_values(layout, r, theta, state.eta), white.digest, state, columns)
+        _rehearsed(
+            model, run_values(layout, r, theta, state.eta) | _own_panel(white.digest, state), white.digest, columns
+        )
         for r, (state, white) in enumerate(zip(stage.fit.runs, stage.data, strict=True))
     )
     values = stage.fit.values
@@ -222,12 +224,16 @@ def campaign_of(found: Diagnosis) -> Campaign:
     return Campaign(model.press, runs, levels, dict(stage.population), testable)
 
 
+def _own_panel(digest: Digest, state: RunState) -> dict[str, float]:
+    return {u.name: estimate for u, estimate in own_constants(digest, state)}
+
+
 def _rehearsed(
-    layout: Unknowns, values: Mapping[str, float], digest: Digest, state: RunState, faulty: Iterable[str]
+    model: ThermalModel, values: Mapping[str, float], digest: Digest, faulty: Iterable[str]
 ) -> RehearsedRun:
     """Return what a run gives to rehearsals: its motion, and what the fit leaves of each of its channels."""
     kept = {c: v for c, v in digest.run.columns.items() if c not in set(faulty)}
-    run, model = replace(digest.run, columns=kept), layout.model
+    run = replace(digest.run, columns=kept)
     solved = model.solve(model.prepare(run, digest.moments), values)
     rows = quiet_rows(run.time_s, digest.moments) & _with_panel(run, digest.moments)
     noise, level = {}, {}

@@ -27,9 +27,10 @@ from softsensor.diagnosis.extension import (
     fit_campaign_model,
     from_the_others,
     held_out,
+    own_constants,
     unstuck,
 )
-from softsensor.diagnosis.extension_unknowns import is_shape, lay_out, with_own_panels
+from softsensor.diagnosis.extension_unknowns import is_shape, lay_out, panel_shares, run_values
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import Pocket, pockets
 from softsensor.effects import Effect, Need, catalogue
@@ -96,6 +97,11 @@ class SettledModel:
         return sum(r.cost for r in self.fit.runs) / max(count, 1)
 
     @property
+    def own_misfit(self) -> float:
+        """The same over the readings' own noise, where that was taken larger (`coarse`)."""
+        return self.misfit * max(self.noise.white / START_NOISE.white, 1.0) ** 2
+
+    @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the model."""
         return tuple(e.name for e in self.fit.layout.model.effects)
@@ -110,7 +116,7 @@ class SettledModel:
         return replace(self, fit=fit, data=tuple(self.data[r] for r in runs))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """One more effect, fitted."""
 
@@ -125,8 +131,8 @@ class Candidate:
     refined: bool
     others: tuple[RunState, ...] = ()
     """Each run by numbers from the others."""
-    switched: tuple[Gain, ...] = ()
-    """What it saves on runs left out whose moments are held at the limit switch; of what needs one alone."""
+    held: Gain | None = None
+    """What it saves on runs left out whose own numbers that make up for it are held (`made_up_for`)."""
     score: Array = field(default_factory=lambda: np.zeros(0))
     """Each run's score along the direction at the fitted size (runs)."""
 
@@ -165,14 +171,9 @@ class Candidate:
         return np.asarray(np.sign(self.score.sum()) * self.score * np.abs(self.score))
 
     def heldout_gain(self, stage: SettledModel) -> Gain:
-        """Return what it saves on runs left out.
-
-        Moments make up for a clock that is off, so for what needs a limit switch they are held at it.
-        """
-        if not self.others:
-            return Gain(0.0, None)
-        if self.switched:
-            return self.switched[0]
+        """Return what it saves on runs left out."""
+        if self.held or not self.others:
+            return self.held or Gain(0.0, None)
         return paired_gain(run_errors(stage.data, stage.fit.runs), run_errors(stage.data, self.others))
 
 
@@ -203,9 +204,9 @@ def run_errors(data: Sequence[Whitened], runs: Sequence[RunState]) -> Array:
     return np.sqrt(np.array(squares))
 
 
-def whiten_all(digests: Sequence[Digest], noise: MeanNoise) -> tuple[Whitened, ...]:
-    """Return every digest with its noise."""
-    return tuple(Whitened.of(d, noise) for d in digests)
+def whiten_all(digests: Sequence[Digest], noise: MeanNoise, panel_sd: float) -> tuple[Whitened, ...]:
+    """Return every digest with its noise, and how far its panel's own constants may lie off."""
+    return tuple(Whitened.of(d, noise, panel_sd) for d in digests)
 
 
 def settle(
@@ -214,9 +215,10 @@ def settle(
     noise: MeanNoise,
     start: Mapping[str, float] | None = None,
     etas: Sequence[Array] | None = None,
+    panel_sd: float = 1.0,
 ) -> SettledModel:
     """Fit a model to all runs, learn how coefficients scatter, and fit again."""
-    data = whiten_all(digests, noise)
+    data = whiten_all(digests, noise, panel_sd)
     fit = fit_campaign_model(lay_out(model, digests, {}, start or {}), data, etas, rounds=10)
     population = scatter(fit)
     layout = lay_out(model, digests, population, fit.values)
@@ -243,44 +245,81 @@ def coarse(stage: SettledModel) -> MeanNoise:
 
 
 def settle_base(model: ThermalModel, digests: Sequence[Digest]) -> SettledModel:
-    """Fit the plain model; where it is far off, with the noise as large as that suggests."""
+    """Fit the plain model, then with each panel's constants its own; noise is larger where it is far off."""
     stage = settle(model, digests, START_NOISE)
     noise = coarse(stage)
-    if noise == stage.noise:
-        return stage
-    return settle(model, digests, noise, stage.fit.values, [r.eta for r in stage.fit.runs])
+    if noise != stage.noise:
+        stage = settle(model, digests, noise, stage.fit.values, [r.eta for r in stage.fit.runs])
+    own = [with_own_panel(stage, r) for r in range(len(digests))]
+    for _ in range(2 if any(d.panel_rows.size for d in own) else 0):
+        noise, panel_sd = finer(stage.noise, stage.misfit)
+        stage = settle(model, own, noise, stage.fit.values, [r.eta for r in stage.fit.runs], panel_sd)
+    return stage
 
 
-def with_panels_freed(stage: SettledModel) -> SettledModel:
-    """Fit again with each panel's constants its own, within what panels differ by."""
-    layout = with_own_panels(stage.fit.layout.begun(stage.fit.theta), [d.digest for d in stage.data])
-    etas = [_grown(u, r.eta) for u, r in zip(layout.unknowns, stage.fit.runs, strict=True)]
-    return replace(stage, fit=fit_campaign_model(layout, stage.data, etas, rounds=6))
+def finer(noise: MeanNoise, misfit: float) -> tuple[MeanNoise, float]:
+    """Return noise no larger than a misfit in it suggests, and how far panels may lie off beside it.
 
-
-def panels_as_usual(freed: SettledModel) -> float:
-    """Return how likely panels differ from those given as panels do: a p-value, adjusted for its four tests.
-
-    Of each constant, whether its middle over runs is that given, and whether it scatters no more than usual.
-    Estimates are drawn towards what is given, so both find less than there is.
+    A model that is further off than its noise says too much of them: as if that noise were smaller than it is.
     """
-    found = [1.0]
+    root = float(np.sqrt(misfit))
+    factor = float(np.clip(root, 1.0 / COARSEST, 1.0))
+    return MeanNoise(noise.slow * factor, noise.fast * factor, noise.white * factor), 1.0 / max(root, 1.0)
+
+
+def with_own_panel(stage: SettledModel, run: int) -> Digest:
+    """Return a run's digest with what its panel's own constants do, to first order about a fit with those given.
+
+    Panels of one product differ, and what that leaves is no cause's. Integrated out like this, not fitted in every
+    model, they cannot bend as far as a wrong model would take them.
+    """
+    fit, d = stage.fit, stage.data[run].digest
+    own = tuple(panel_shares(d))
+    values = run_values(fit.layout, run, fit.theta, fit.runs[run].eta) | {u.name: 0.0 for u in own}
+    solution = d.solve(fit.layout.model, values, [u.name for u in own])
+    rows = [u.sd * d.observed_tangent(solution, u.name) for u in own]
+    return replace(d, panel_rows=np.stack(rows, axis=-1)) if rows else d
+
+
+def with_whole_panels(stage: SettledModel) -> SettledModel:
+    """Return the same where panels may differ as panels do, however far off the model is."""
+    if all(d.panel_sd == 1.0 for d in stage.data):
+        return stage
+    return _settled_again(stage, [d.digest for d in stage.data])
+
+
+def panels_given(stage: SettledModel) -> SettledModel:
+    """Return the same with every panel's constants held at those given."""
+    return _settled_again(stage, [d.digest.as_given for d in stage.data])
+
+
+def _settled_again(stage: SettledModel, digests: Sequence[Digest]) -> SettledModel:
+    etas = [r.eta for r in stage.fit.runs]
+    return settle(stage.fit.layout.model, digests, stage.noise, stage.fit.values, etas)
+
+
+def panels_as_usual(stage: SettledModel) -> tuple[float, float]:
+    """Return how likely panels differ from those given as panels do: p-values of their middle and their scatter.
+
+    The least over the constants each, adjusted for their number. Estimates are drawn towards what is given and
+    bounded, so both find less than there is.
+    """
+    middle, differ = [1.0], [1.0]
+    own = [pair for d, r in zip(stage.data, stage.fit.runs, strict=True) for pair in own_constants(d.digest, r)]
     for name in PANEL_SHARES:
-        off = np.array([u.deviation(estimate) for own in freed.fit.own([name]) for u, estimate in own])
-        if len(off):
-            found += [4.0 * 2.0 * ndtr(-abs(off.sum()) / len(off) ** 0.5), 4.0 * chdtrc(len(off), off @ off)]
-    return float(min(found))
+        off = np.array([u.deviation(estimate) for u, estimate in own if u.name == name])
+        if len(off) > 1:
+            middle.append(len(PANEL_SHARES) * 2.0 * ndtr(-abs(off.sum()) / len(off) ** 0.5))
+            differ.append(len(PANEL_SHARES) * chdtrc(len(off) - 1, np.var(off) * len(off)))
+    return float(min(middle)), float(min(differ))
 
 
 def extend(stage: SettledModel, candidate: Candidate) -> SettledModel:
     """Take a candidate in: fit again with the spread and noise it leaves."""
     fit = candidate.fit
     digests = [d.digest for d in stage.data]
-    cost, count = sum(r.cost for r in fit.runs), sum(int(d.valid.sum()) for d in digests)
-    factor = float(np.clip(np.sqrt(cost / max(count, 1)), 1.0 / COARSEST, 1.0))
-    n = stage.noise
-    noise = MeanNoise(n.slow * factor, n.fast * factor, n.white * factor)
-    data, population = whiten_all(digests, noise), scatter(fit)
+    noise, panel_sd = finer(stage.noise, replace(stage, fit=fit).misfit)
+    data, population = whiten_all(digests, noise, panel_sd), scatter(fit)
     layout = lay_out(fit.layout.model, digests, population, fit.values)
     fit = unstuck(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data)
     return SettledModel(fit, data, population, noise)
@@ -462,21 +501,34 @@ def refine(stage: SettledModel, candidate: Candidate, rounds: int = 8) -> Candid
     else:
         score = direction(stage.fit, stage.data, layout.model, values).scores
     saved = max(stage.fit.cost - fit.cost, 0.0)
-    told = replace(candidate, fit=fit, gain=saved, gains=gains, refined=True, others=tuple(others), score=score)
-    if candidate.effect.needs != Need.SWITCH:
-        return told
-    before, after = (switched_errors(f, stage.data) for f in (stage.fit, fit))
-    return replace(told, switched=(paired_gain(before, after),))
+    held = None
+    if made_up_for(candidate.effect):
+        held = paired_gain(*(held_errors(f, stage.data, candidate.effect) for f in (stage.fit, fit)))
+    return replace(
+        candidate, fit=fit, gain=saved, gains=gains, refined=True, others=tuple(others), held=held, score=score
+    )
 
 
-def switched_errors(fit: SharedFit, data: Sequence[Whitened]) -> Array:
-    """Return the errors of runs left out, moments held at the limit switch, steep ones whole (runs). [K]"""
+def made_up_for(effect: Effect) -> bool:
+    """Whether a run's own numbers can do the same: its moments for a clock, its panel's constants for theirs."""
+    return effect.needs == Need.SWITCH or bool(effect.of_constant)
+
+
+def held_errors(fit: SharedFit, data: Sequence[Whitened], effect: Effect) -> Array:
+    """Return the errors of runs left out, what makes up for an effect held (runs). [K]
+
+    Moments are held at the limit switch, and steep ones count whole; a panel's constants at those given.
+    """
+    thetas = from_the_others(fit, data)
+    if effect.needs != Need.SWITCH:
+        given = [d.as_given for d in data]
+        return run_errors(given, held_out(fit, given, rounds=3, thetas=thetas))
     unknowns = tuple(
         tuple(replace(u, sd=HELD_S) if u.name in SWITCHED and d.digest.switch is not None else u for u in of_run)
         for of_run, d in zip(fit.layout.unknowns, data, strict=True)
     )
     held = replace(fit, layout=replace(fit.layout, unknowns=unknowns))
-    runs = held_out(held, data, rounds=3, thetas=from_the_others(fit, data))
+    runs = held_out(held, data, rounds=3, thetas=thetas)
     return np.array([float(np.sqrt(np.nanmean(r.misfit**2))) for r in runs])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.decision import (
-    ALPHA_PATTERN,
+    FEW_RUNS,
     MOST_CAUSES,
     SMALLEST_SIZE,
     UNPROVEN,
@@ -27,16 +27,16 @@ from softsensor.diagnosis.decision import (
 from softsensor.diagnosis.exchange import exchange, fit_alone
 from softsensor.diagnosis.numbers import noise_floor, residual_K
 from softsensor.diagnosis.search import (
+    FAR_OFF,
     Candidate,
     SettledModel,
     candidates_for,
     core_errors,
     extend,
-    panels_as_usual,
+    panels_given,
     search,
-    with_panels_freed,
 )
-from softsensor.diagnosis.sign_flips import max_t, tempered
+from softsensor.diagnosis.sign_flips import likelihood_p, max_t, tempered
 from softsensor.effects import Need
 
 RIM_K, RIM_T = 0.15, 3.0
@@ -157,24 +157,19 @@ def _second_look(
 def left_beside(stages: Sequence[SettledModel], further: SettledModel) -> tuple[float, float]:
     """Return what the last of some stages leaves, and a model with a further cause, over what noise leaves.
 
-    Panels that differ as panels do are no cause: where they may be what is left over, both models are asked with
-    each panel's constants its own.
+    Where panels' own constants can make up for the cause, they are held at those given, or it explains nothing.
     """
-    before = stages[-1]
     noise = noise_floor([*stages, further])
-    left = residual_K(before) / noise, residual_K(further) / noise
-    if explains_the_rest(*left) or not further.fit.layout.model.press.panel_layers:
-        return left
-    freed = with_panels_freed(further)
-    if panels_as_usual(freed) <= ALPHA_PATTERN:
-        return left
-    return residual_K(with_panels_freed(before)) / noise, residual_K(freed) / noise
+    before, after = stages[-1], further
+    if after.fit.layout.model.effects[-1].of_constant:
+        before, after = panels_given(before), panels_given(after)
+    return residual_K(before) / noise, residual_K(after) / noise
 
 
 def judge(stage: SettledModel, found: Sequence[Candidate], before: Evidence) -> Round:
     """Decide on a search, with all runs and without each of them. `before`: what is known of the stage."""
     everyone = np.arange(len(stage.data))
-    p = p_values(found, everyone)
+    p = chances(stage, found)
     evidence = replace(
         before, claims=claims_of(stage, found, p, everyone), core_K=core_errors(stage.fit, stage.data)
     )
@@ -227,8 +222,23 @@ def claim_of(stage: SettledModel, candidate: Candidate, p: float) -> Claim:
     )
 
 
+def chances(stage: SettledModel, found: Sequence[Candidate]) -> dict[str, float]:
+    """Return each candidate's p-value by flips, or by likelihood where that is less and may be believed.
+
+    It may where the model with the candidate leaves no more than the readings' own noise, not that which was taken
+    larger for what the plain model leaves: dry pine would get a heat capacity by it. What few runs can show is
+    asked otherwise (`decision`), and of a clock the switch alone speaks.
+    """
+    runs = len(stage.data)
+    p = p_values(found, np.arange(runs))
+    for c in found if runs >= FEW_RUNS else ():
+        if c.refined and c.effect.needs != Need.SWITCH and replace(stage, fit=c.fit).own_misfit <= FAR_OFF:
+            p[c.effect.name] = min(p[c.effect.name], likelihood_p(c.gains, len(found)))
+    return p
+
+
 def p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
-    """Return each candidate's p-value: by the runs' scores along its direction, or by what they gain left out.
+    """Return each candidate's p-value by flips, of runs' scores along its direction or of what they gain left out.
 
     The direction starts at the plain model's fit; where that is far off, most runs have bent away from it, and
     only their gains show that they agree. Both are flipped together, so that looking twice is paid for. A clock

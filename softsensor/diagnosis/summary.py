@@ -13,8 +13,9 @@ import numpy as np
 
 from daq.records import Array
 from daq.words import Argument, Message, say
+from daq.words.message import words
 from softsensor.diagnosis.curves import curves_of
-from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, FEW_RUNS, Verdict
+from softsensor.diagnosis.decision import EXCESS, FEW_RUNS, Remains, Verdict, pattern_left
 from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import HARDLY
@@ -84,16 +85,23 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
     if found.verdict is Verdict.NOT_DESCRIBED:
         return (say("verdict-not-described", **residual),)
     if found.verdict is Verdict.NO_EFFECT:
-        if found.own_panels_K is None:
-            return (say("verdict-plain-model-explains", runs=runs, **residual),)
-        return (say("verdict-plain-model-explains-panels", runs=runs, own=found.own_panels_K, **residual),)
+        return (say("verdict-plain-model-explains", runs=runs, **residual),)
     if found.verdict is not Verdict.UNKNOWN_EFFECT:
         return _causes_said(found)
-    if found.left.p_value > ALPHA_PATTERN:  # no pattern
-        if times <= EXCESS:
-            return (say("verdict-something-beyond-chance", runs=runs, **residual),)
-        return (say("verdict-differs-from-run-to-run", runs=runs, **residual),)
-    return (say("verdict-left-at", stretch=stretch_said(found.where[0])) if found.where else say("verdict-left"),)
+    if pattern_left(found.left, runs):
+        return (
+            say("verdict-left-at", stretch=stretch_said(found.where[0])) if found.where else say("verdict-left"),
+        )
+    return (say(_without_a_pattern(found.left, times), runs=runs, **residual),)
+
+
+def _without_a_pattern(left: Remains, times: float) -> str:
+    """Return what says why something is unknown though the runs share no pattern."""
+    if not left.panels_alike:
+        return "verdict-panels-differ"
+    if times > EXCESS:
+        return "verdict-differs-from-run-to-run"
+    return "verdict-something-beyond-chance" if left.panels_as_given else "verdict-panels-not-as-given"
 
 
 def _causes_said(found: Diagnosis) -> tuple[Message, ...]:
@@ -230,7 +238,7 @@ def as_stored(found: Diagnosis) -> dict[str, Any]:
     content = found.as_json() | {"curves": curves_of(found)}
     for entry, finding in zip(content["effects"], found.findings, strict=True):
         message = worth(found, finding)
-        entry |= {"worth": str(message), "worth_said": message.to_json()}
+        entry |= {"worth": words(message), "worth_said": message.to_json()}
     return content
 
 

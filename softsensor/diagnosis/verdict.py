@@ -5,12 +5,15 @@ The method and why it is so:
 1. Faulty channels are found first, by comparison with their neighbours, and left out (`suspect_channels`).
 2. Each run is boiled down to place means in bins (`digest`) and fitted together with all others: its
    own coefficients, moments, start temperature, platen errors and sensor offsets, with priors learned
-   from the campaign (`extension`). What these can absorb is no evidence for a cause.
+   from the campaign, and conductivity and heat capacity about those given, as panels of one product differ
+   (`extension`). What these can absorb is no evidence for a cause. Where a model is further off than noise, panels
+   are held the nearer to those given, or they would take up what it leaves (`search.finer`).
 3. Every candidate of the catalogue is fitted for real on top, all of that following it. A score along a
    finite-size secant gives each run's score, and so does what it gains by numbers from the others, large ones
    tempered; signs of whole runs are flipped for the p-value, with the maximum over candidates
-   and both (`diagnosis.sign_flips`). The facts this project started from name samples tested as if independent as
-   the classic error: 84 to 100 % false names.
+   and both; where a candidate leaves no more than noise, the likelihood of runs left out may say more than flips
+   of a few runs can (`diagnosis.sign_flips`). The facts this project started from name samples tested as if
+   independent as the classic error: 84 to 100 % false names.
 4. Two rules decide (`decision`). The best candidate is taken in if its p-value holds, if runs left out gain by it
    with an interval above nothing, if its size is physical, core thermocouples do not speak against it, and beside
    a cause taken in before, if it explains what that one leaves beyond noise (`EXPLAINED_FURTHER`): else that
@@ -29,9 +32,9 @@ right before anything is compared; timing, lag and clock, which bend coefficient
 with the coefficients free.
 
 Held-out numbers: each run by shared numbers fitted to the others, and by the cause that the others would have
-chosen without it (`never_seen`); its own contacts, offsets and share of a cause are fitted to it, or for a
-prediction left at what the others say. Sizes of noise and scatter, and starting points of fits, come from all
-runs.
+chosen without it (`never_seen`); its own contacts, offsets, share of a cause and, unless a cause is one of them,
+its panel's own constants are fitted to it, or for a prediction left at what the others say. Sizes of noise and
+scatter, and starting points of fits, come from all runs.
 
 With fewer than six runs no p-value can fall below 0.05 by flipping. A cause is then named only if it is the only
 one found, every single run, by numbers from the others, gains by it, the interval of the gain lies above nothing,
@@ -47,6 +50,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -58,7 +62,6 @@ from daq.words import Message, say, spoken
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes
 from softsensor.diagnosis.decision import (
     ALPHA_PATTERN,
-    EXCESS,
     Proof,
     Remains,
     Verdict,
@@ -79,7 +82,6 @@ from softsensor.diagnosis.numbers import (
     is_described,
     measure_errors,
     noise_floor,
-    residual_K,
 )
 from softsensor.diagnosis.search import (
     Candidate,
@@ -88,7 +90,7 @@ from softsensor.diagnosis.search import (
     panels_as_usual,
     run_errors,
     settle_base,
-    with_panels_freed,
+    with_whole_panels,
 )
 from softsensor.diagnosis.selection import Progress, Round, cool_rim, search_all
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, pattern_test, pockets
@@ -96,7 +98,7 @@ from softsensor.diagnosis.where import MOST, stretches, where_row
 from softsensor.effects import Effect, find_effect, sensor_fault
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.run_checks import load_remarks
-from softsensor.signals.digest import Digest, screened_digest
+from softsensor.signals.digest import Digest, Whitened, screened_digest
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.screen import ChannelFault, recurring
 
@@ -188,14 +190,12 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     models = [s.fit for s in (*stages, *beside)]
     causes = _findings(stages, rounds, shares, errors, models[len(stages) - 1 :])
     nearly = _nearly(rounds, stages[-1], beside)
-    own_panels_K = None if causes or nearly else _left_by_panels_of_their_own(stages[0], errors[0].rmse_K, noise)
-    left_K = [errors[0].rmse_K if own_panels_K is None else own_panels_K, *(e.rmse_K for e in errors[1:])]
     basis = VerdictBasis(
         runs=len(runs),
         proofs=tuple(_proof(f, errors[0], e, noise) for f, e in zip(causes, errors[1:], strict=True)),
         remains=tuple(
-            Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
-            for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
+            _remains(s, t, share, e.rmse_K, noise)
+            for s, t, share, e in zip(stages, tests, shares, errors, strict=True)
         ),
         faulty_channels=bool(columns),
         suspected=bool(nearly),
@@ -215,16 +215,27 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         base=base,
         extended=extended,
         noise_floor_K=_rounded(noise),
-        own_panels_K=own_panels_K,
         where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages, (*findings, *suspected)),
         next_measurement=next_measurement(conclusion.verdict, findings, seen, to_confirm),
         seconds=0.0,
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
         stages=tuple(stages[: named + 1]),
-        left=tests[named],
+        remains=basis.remains[: named + 1],
         rivals=_rivals(rounds),
         warnings=(*notes(runs, faults, rounds), *rim_notes(readings.rim), *_lacking_loads(press, runs)),
+    )
+
+
+def _remains(stage: SettledModel, test: PatternTest, explained: float, rmse_K: float, noise_K: float) -> Remains:
+    middle, differ = panels_as_usual(with_whole_panels(stage) if stage.effects else stage)
+    return Remains(
+        pattern=test,
+        explained=explained,
+        times_noise=rmse_K / noise_K,
+        described=is_described(rmse_K, noise_K, [d.digest for d in stage.data]),
+        panels_as_given=middle > ALPHA_PATTERN / 2,
+        panels_alike=differ > ALPHA_PATTERN / 2,
     )
 
 
@@ -240,37 +251,38 @@ def _proof(found: Finding, plain: Errors, with_it: Errors, noise: float) -> Proo
     )
 
 
-def _left_by_panels_of_their_own(plain: SettledModel, left_K: float, noise: float) -> float | None:
-    """Return what the plain model leaves where each panel's constants are its own, as panels differ. [K]
-
-    Panels of one product differ in conductivity and heat capacity; what that leaves is no unknown effect. None
-    where it takes panels unlike those given, in the middle or in their scatter, or where the plain model leaves no
-    more than noise does.
-    """
-    if not plain.fit.layout.model.press.panel_layers or left_K <= EXCESS * noise:
-        return None
-    freed = with_panels_freed(plain)
-    if panels_as_usual(freed) <= ALPHA_PATTERN:
-        return None
-    return residual_K(freed)
-
-
 def _errors(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> list[Errors]:
-    """Return the errors of every stage, its runs left out in turn (stages)."""
-    base = stages[0]
+    """Return the errors of every stage, its runs left out in turn (stages).
+
+    Panels are as free in all of them as in the last: held the nearer to those given only in the models before it,
+    they would favour its cause. They are held at those given in all where a cause is among them that they can
+    make up for.
+    """
+    given = any(e.of_constant for e in stages[-1].fit.layout.model.effects)
+    data = [[_panels_as(last, d, given) for last, d in zip(stages[-1].data, s.data, strict=True)] for s in stages]
     thetas = [from_the_others(s.fit, s.data, rounds=1) for s in stages]
-    others = [held_out(s.fit, s.data, thetas=t) for s, t in zip(stages, thetas, strict=True)]
+    others = [held_out(s.fit, d, rounds=3, thetas=t) for s, d, t in zip(stages, data, thetas, strict=True)]
     ahead = [predicted(s.fit, s.data, t) for s, t in zip(stages, thetas, strict=True)]
+    base = stages[0].data
+
+    @cache
+    def others_of(c: Candidate) -> list[RunState]:
+        return held_out(c.fit, data[0], rounds=3, thetas=from_the_others(c.fit, base))
+
+    @cache
+    def ahead_of(c: Candidate) -> list[RunState]:
+        return predicted(c.fit, base, from_the_others(c.fit, base))
+
     return [
         measure_errors(
-            stage,
-            never_seen(others[: i + 1], rounds, lambda c: c.others),
-            never_seen(
-                ahead[: i + 1], rounds, lambda c: predicted(c.fit, base.data, from_the_others(c.fit, base.data))
-            ),
+            stage, never_seen(others[: i + 1], rounds, others_of), never_seen(ahead[: i + 1], rounds, ahead_of)
         )
         for i, stage in enumerate(stages)
     ]
+
+
+def _panels_as(last: Whitened, data: Whitened, given: bool) -> Whitened:
+    return data.as_given if given else replace(data, panel_sd=last.panel_sd)
 
 
 def never_seen(
@@ -346,7 +358,7 @@ def _findings(
                 set=names,
                 parameters=intervals_of_models(models, cause.effect),
                 p_value=_rounded(round_.p_values[cause.effect.name]),
-                gain=cause.switched[0] if cause.switched else paired_gain(without.heldout, with_it.heldout),
+                gain=cause.held or paired_gain(without.heldout, with_it.heldout),
                 predicted=paired_gain(without.predicted, with_it.predicted),
                 explained_share=_rounded(max(more - share, 0.0)),
                 against=tuple(against[:3]),

@@ -87,6 +87,36 @@ def add_effect(effect: Effect) -> None:
     """Add an effect of one's own to the catalogue of this process, as an installed package's entry point does.
 
     Raises InputError for what is no `Effect`, one whose name is taken, or one without words.
+
+    Examples
+    --------
+    >>> from softsensor import Effect, Live, Need, Parameter, Role, Terms, on_panel
+    >>> def terms(scene, values):
+    ...     return Terms(exchange=on_panel(scene, values["W_m3K"] * (1.0 + scene.z), 0.0))
+    >>> loss = Parameter("W_m3K", "W/m³K", neutral=0.0, typical=2e3, lower=0.0, upper=2e4, source="assumed")
+    >>> words = {
+    ...     "called": "a draught from above",
+    ...     "meaning": "Air moves along the upper half of the rim.",
+    ...     "symptom": "The upper face settles below the simulation.",
+    ...     "confirmed-by": "Shield the rim for one pressing.",
+    ...     "core": "A kelvin or two too low.",
+    ...     "parameter-W_m3K": "heat lost at the rim",
+    ... }
+    >>> draught = Effect(
+    ...     name="draught_above",
+    ...     parameters=(loss,),
+    ...     terms=terms,
+    ...     source="assumed",
+    ...     chance=0.02,
+    ...     live=Live(Role.HYPOTHESIS),
+    ...     needs=Need.PANEL,
+    ...     words={"en": words},
+    ... )
+    >>> add_effect(draught)
+    >>> find_effect("draught_above") is draught
+    True
+    >>> catalogue().pop("draught_above") is draught  # what else runs in this process is to know none of it
+    True
     """
     if not isinstance(effect, Effect):
         raise refused(effect, "given-no-effect")

@@ -9,18 +9,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from daq.given import keys_of
+from daq.given import keys_of, number_of
 from daq.press.resin_file import Resin
 from daq.records import ROOM_C, InputError
 from daq.words import say
+from daq.words.message import chosen
 from softsensor.face.inputs import read_press, resin_of
-from softsensor.face.models import read_model
+from softsensor.face.models import model_for
 from softsensor.face.showing import lines_html, shown
 from softsensor.planning.advise import DEFAULT_RANGES, PRESSURE, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
 from softsensor.planning.program import given_ranges
 from softsensor.planning.summary import advice_said
+from softsensor.planning.wishes import OPEN_S, PRICE, WAITING_S
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,7 +53,7 @@ class AdviceResult:
         """Draw press time against risk; return the axes."""
         from softsensor.report.advice_figure import advice_figure
 
-        return shown(advice_figure(self.advised))
+        return shown(advice_figure(self.advised, chosen()))
 
     def to_json(self) -> str:
         """Return what ``advise --json`` writes."""
@@ -105,18 +107,47 @@ def advise(  # noqa: PLR0913 - one argument a wish
     Raises
     ------
     InputError
-        For no limit, or a panel, range or press that cannot be.
+        For no limit, or a panel, range, time, price or press that cannot be.
+
+    Examples
+    --------
+    The core of a thin panel is to pass 60 °C, at platens of 180 °C:
+
+    >>> from daq import shared_files
+    >>> from softsensor import FittedValue, ModelFile
+    >>> model = ModelFile("mine", "lab", {"h_pp_c": FittedValue(650.0, 80.0)})
+    >>> found = advise(
+    ...     shared_files() / "presses" / "lab.toml",
+    ...     model,
+    ...     panel={"panel.thickness_mm": 8.0},
+    ...     ranges={"platen_temperature_C": (180.0, 180.0), "press_time_s": (20.0, 120.0)},
+    ...     limits={"core_least_C": 60.0},
+    ... )
+    >>> at_180 = found.frame().loc[180.0]
+    >>> bool(at_180["likely_press_time_s"] < at_180["press_time_s"] < 90.0)
+    True
     """
     if goal not in (known := tuple(one.value for one in Goal)):
         raise InputError(say("advise-goal-unknown", goal=goal, known=known))
+    _check("waiting_s", waiting_s, WAITING_S)
+    _check("open_s", open_s, OPEN_S)
+    _check("price_per_kWh", 0.0 if price_per_kWh is None else price_per_kWh, PRICE)
     loaded = resin_of(resin)
     wanted = limits_of(loaded, keys_of(limits, "given-no-limits"))
     settable = keys_of(ranges, "given-no-ranges")
     allowed = given_ranges(settable, DEFAULT_RANGES)
     given = keys_of(panel, "given-no-header")
     header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **given}
-    task = Task(read_press(press), read_model(model), header, waiting_s, allowed["press_time_s"][1])
+    described = read_press(press)
+    task = Task(described, model_for(model, described, header), header, waiting_s, allowed["press_time_s"][1])
     if PRESSURE in settable and not task.follows_load:
         raise InputError(say("advise-pressure-unknown", name=PRESSURE))
     wish = Wish(wanted, loaded, allowed, Goal(goal), open_s, price_per_kWh)
     return AdviceResult(advise_on(task, wish, progress))
+
+
+def _check(name: str, value: object, within: tuple[float, float]) -> None:
+    """Refuse a number that lies outside. Raises `InputError`."""
+    low, high = within
+    if not low <= number_of(value) <= high:
+        raise InputError(say("solve-value-out-of-range", name=name, value=repr(value), lower=low, upper=high))

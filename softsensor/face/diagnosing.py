@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from daq.given import names_of
 from daq.records import with_frozen_fields
 from daq.words import say
+from daq.words.message import chosen
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_said
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
@@ -64,7 +65,7 @@ class DiagnosisResult:
         from softsensor.diagnosis.curves import curves_of
         from softsensor.report.diagnosis_figures import worst_run_figure
 
-        return shown(worst_run_figure(curves_of(self.diagnosis)))
+        return shown(worst_run_figure(curves_of(self.diagnosis), chosen()))
 
     def model(self) -> ModelFile:
         """Return the extended model, as ``diagnose --model`` writes it."""
@@ -113,6 +114,21 @@ def diagnose(
     ------
     InputError
         As `fit`, and for an effect that the catalogue does not have.
+
+    Examples
+    --------
+    Three pressings, every fourth row and one cause for speed; a verdict needs more of them, and says so:
+
+    >>> from daq import frame_of, shared_files
+    >>> from softsensor import read_run
+    >>> shared = shared_files()
+    >>> files = [shared / "samples" / f"2026-03-04-{number:02}.csv" for number in (6, 7, 8)]
+    >>> runs = [read_run(frame_of(read_run(file)).iloc[::4]) for file in files]
+    >>> found = diagnose(runs, shared / "presses" / "lab.toml", effects="edge_loss")
+    >>> found.verdict, [effect["name"] for effect in found.content["suspected"]]
+    ('too_few_runs', ['edge_loss'])
+    >>> print(found.diagnosis.next_measurement)  # doctest: +ELLIPSIS
+    Press at least 4 more panels, with different press times and, if possible, thicknesses...
     """
     described = read_press(press)
     wanted = None if effects is None else names_of(effects)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from daq.given import keys_of
 from daq.press.header import check_header
 from daq.press.resin_file import Resin
-from daq.printed import on_screen
+from daq.printed import in_notebook, on_screen
 from daq.records import InputError
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
-from softsensor.face.models import read_model
+from softsensor.face.models import model_for
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.live.sensor import Estimate
 from softsensor.live.sensor import LiveSensor as ScanSensor
@@ -68,7 +68,8 @@ class LiveSensor(ScanSensor):
         check_header(keys_of(header, "given-no-header"), "LiveSensor")
         compile_for(Work.LIVE)
         described = read_press(press)
-        super().__init__(described, header, None if model is None else read_model(model), resin_of(resin))
+        known = None if model is None else model_for(model, described, header)
+        super().__init__(described, header, known, resin_of(resin))
         self._named = described.press.name
         self._newest: Estimate | None = None
 
@@ -99,7 +100,9 @@ class LiveSensor(ScanSensor):
     def __repr__(self) -> str:
         """Say which press it follows, and what it said at the newest scan."""
         newest = [] if self._newest is None else [on_screen(self._newest)]
-        return "\n".join([f"LiveSensor of press {self._named}", *newest])
+        return "\n".join([str(say("live-sensor-of-press", press=self._named)), *newest])
+
+    _repr_html_ = in_notebook
 
 
 def _reading(column: str, value: float | None) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from daq.records import with_frozen_fields
+from daq.words.message import chosen
 from softsensor.face.inputs import read_press, runs_of
 from softsensor.face.showing import UNKNOWN, about, shown, table_html
 from softsensor.fitting.campaign import CampaignFit
@@ -51,7 +52,7 @@ class FitResult:
         """Draw the coefficients over the runs; return the axes."""
         from softsensor.report.fit_figures import coefficients_figure
 
-        return shown(coefficients_figure(self.campaign))
+        return shown(coefficients_figure(self.campaign, chosen()))
 
     def model(self) -> ModelFile:
         """Return the campaign's model, as ``fit --model`` writes it."""
@@ -109,6 +110,16 @@ def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = Fa
     InputError
         For a run or press file that cannot be read, words in a column that the press file names, a run without a
         platen's column, without sensors or without the panel's data, and no run at all.
+
+    Examples
+    --------
+    >>> from daq.shared import shared_files
+    >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
+    >>> found = fit(run, press).frame().loc["2026-03-04-07"]
+    >>> sorted(found.index[found["identifiable"]])
+    ['h_pp_c', 'h_pp_o', 'h_wa']
+    >>> bool(found.loc["h_pp_c", "low"] < found.loc["h_pp_c", "value"] < found.loc["h_pp_c", "high"])
+    True
     """
     described = read_press(press)
     found = with_frozen_fields(fit_campaign(described, runs_of(runs, described), profiles=profiles))

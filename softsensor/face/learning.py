@@ -14,6 +14,7 @@ from daq.press.header import BLISTER, GOOD, VERDICT
 from daq.press.resin_file import Resin
 from daq.records import InputError, PressState
 from daq.words import say
+from daq.words.message import chosen
 from softsensor.face.inputs import read_press, resin_of, runs_of
 from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
@@ -48,7 +49,7 @@ class SteamLimit(Learned):
         """Draw the chance of a blister over steam, and what half of the panels bear; return the axes."""
         from softsensor.report.steam_figure import steam_figure
 
-        return shown(steam_figure(self, self.frame()["blister_chance"]))
+        return shown(steam_figure(self, self.frame()["blister_chance"], chosen()))
 
     def to_json(self) -> str:
         """Return what ``blisters --json`` writes."""
@@ -75,6 +76,20 @@ def learn_steam_limit(
     ------
     InputError
         As `predict`; and where no marked run tells its panel's moisture and how its steam was at opening.
+
+    Examples
+    --------
+    What is believed of steam falls where a panel blisters:
+
+    >>> from daq.shared import shared_files
+    >>> from softsensor.face.inputs import read_run
+    >>> shared = shared_files()
+    >>> marked = {"panel.moisture_percent": 8.0, "panel.verdict": "blister"}
+    >>> run = read_run(shared / "samples" / "2026-03-04-07.csv", header=marked)
+    >>> resin = shared / "resins" / "melamine_formaldehyde.toml"
+    >>> found = learn_steam_limit([run], shared / "presses" / "lab.toml", resin=resin)
+    >>> found.blistered, found.most_kPa < found.believed[0]
+    (1, True)
     """
     described, cures = read_press(press), resin_of(resin)
     known = None if model is None else read_model(model)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+import warnings
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from daq.given import path_of
+from daq.press.press_file import Press, overridden
+from daq.words import say
 from softsensor.heat.model_file import ModelFile
+from softsensor.heat.model_reading import check_coefficient_names, check_model
 from softsensor.jobs.model_files import read_model as read_model_file
 
 if TYPE_CHECKING:
@@ -21,7 +26,12 @@ class _Found(Protocol):
 
 
 def read_model(model: AnyModel) -> ModelFile:
-    """Return a model from its file, or out of the result of a fit or a diagnosis. Raises `InputError`.
+    """Return a model from its file, or out of the result of a fit or a diagnosis.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, and a value that its coefficient or effect cannot have.
 
     Examples
     --------
@@ -31,5 +41,23 @@ def read_model(model: AnyModel) -> ModelFile:
     h_pp_c = 650, sd 80
     """
     if isinstance(model, ModelFile):
+        check_model(model, say("place-model", version=model.version))
         return model
     return model.model() if isinstance(model, _Found) else read_model_file(path_of(model, "given-no-model"))
+
+
+def model_for(model: AnyModel, press: Press, header: Mapping[str, Any]) -> ModelFile:
+    """Return a model that a run with such a header is to be worked on with in a press; warn of another press's.
+
+    Raises
+    ------
+    InputError
+        As `read_model`; and for a coefficient that neither the press nor the run's own press has.
+    """
+    found = read_model(model)
+    place = say("place-model", version=found.version)
+    check_coefficient_names(found.coefficients, (press, overridden(press, header, place)), place)
+    if found.press not in ("", press.name):
+        said = say("terminal-model-of-another-press", path=place, other=found.press, press=press.name)
+        warnings.warn(str(said), stacklevel=3)
+    return found

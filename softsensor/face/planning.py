@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 
 from daq.given import keys_of
 from daq.printed import LINES
+from daq.words import say
+from daq.words.message import chosen
 from softsensor.face.diagnosing import DiagnosisResult, diagnose
 from softsensor.face.inputs import read_press
 from softsensor.face.showing import lines_html, shown
+from softsensor.planning.open_points import PointKind
 from softsensor.planning.plan import Plan
 from softsensor.planning.plan import plan as plan_after
 from softsensor.planning.summary import best_said, plan_said, point_said
@@ -23,6 +26,10 @@ if TYPE_CHECKING:
     from softsensor.face.kinds import AnyPress, AnyRun
 
 
+HALF = ((PointKind.COEFFICIENT, "half_share"), (PointKind.CORE_BAND, "half_K"))
+"""Under which column what is left of a half interval stands, by what is open."""
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class PlanResult:
     """The next pressings worth most, and what each would settle."""
@@ -31,7 +38,11 @@ class PlanResult:
     """The open points, and for each the pressings that would settle it; what one is worth in nats."""
 
     def frame(self) -> pd.DataFrame:
-        """Return one row an open point and pressing: its settings, chance to settle it, and runs needed."""
+        """Return one row an open point and pressing: its settings, chance to settle it, and runs needed.
+
+        ``worth_nats`` is by what pressings are compared. What is left of a half interval afterwards stands under
+        ``half_share`` of a coefficient [share of its value] and under ``half_K`` of the core [K]; NaN elsewhere.
+        """
         import pandas as pd
 
         rows = []
@@ -39,16 +50,26 @@ class PlanResult:
             for which in ("best", "with_core", "repeated"):
                 if (pressing := point[which]) is not None:
                     about = {"open": number, "kind": point["kind"], "name": point["name"], "pressing": which}
-                    told = {key: pressing[key] for key in ("worth", "chance", "runs", "half_interval")}
-                    rows.append(about | told | dict(pressing["settings"]))
+                    told = {
+                        "worth_nats": pressing["worth"],
+                        "chance": pressing["chance"],
+                        "runs": pressing["runs"],
+                    }
+                    half = {
+                        unit: pressing["half_interval"] if point["kind"] == kind else None for kind, unit in HALF
+                    }
+                    rows.append(about | told | half | dict(pressing["settings"]))
         index = ["open", "kind", "name", "pressing"]
-        return pd.DataFrame(rows).set_index(index) if rows else pd.DataFrame(columns=index).set_index(index)
+        if not rows:
+            return pd.DataFrame(columns=index).set_index(index)
+        numbers = dict.fromkeys(("chance", "runs", "half_share", "half_K"), float)
+        return pd.DataFrame(rows).astype(numbers).set_index(index)
 
     def plot(self) -> list[Axes]:
         """Draw what one pressing of each kind is worth to each open point; return the axes."""
         from softsensor.report.plan_figure import plan_figure
 
-        return shown(plan_figure(self.planned))
+        return shown(plan_figure(self.planned, chosen()))
 
     def to_json(self) -> str:
         """Return what ``plan --json`` writes."""
@@ -58,8 +79,8 @@ class PlanResult:
         """Say what is open, and the best pressing for it; the notebook's view and the table hold the others."""
         points, shown_points = self.planned.points, LINES // 3  # a row for the point and two for its pressing
         said = [one for advice in points[:shown_points] for one in (point_said(advice.point), best_said(advice))]
-        more = [f"... and {len(points) - shown_points} more"] if len(points) > shown_points else []
-        return "\n".join([*map(str, said or plan_said(self.planned)), *more])
+        more = [say("plan-more", count=len(points) - shown_points)] if len(points) > shown_points else []
+        return "\n".join(map(str, [*(said or plan_said(self.planned)), *more]))
 
     def _repr_html_(self) -> str:
         return lines_html(plan_said(self.planned))
@@ -85,6 +106,25 @@ def plan(
     ------
     InputError
         As `diagnose`, and for a range that cannot be.
+
+    Examples
+    --------
+    After three pressings, every fourth row and one cause for speed, where the press time alone can be chosen:
+
+    >>> from daq import frame_of, shared_files
+    >>> from softsensor import read_run
+    >>> shared = shared_files()
+    >>> press = shared / "presses" / "lab.toml"
+    >>> files = [shared / "samples" / f"2026-03-04-{number:02}.csv" for number in (6, 7, 8)]
+    >>> runs = [read_run(frame_of(read_run(file)).iloc[::4]) for file in files]
+    >>> found = diagnose(runs, press, effects="edge_loss")
+    >>> held = {"thickness_mm": 16, "platen_temperature_C": 200, "start_temperature_C": 20, "waiting_s": 20}
+    >>> ranges = {name: (value, value) for name, value in held.items()} | {"press_time_s": (30, 60)}
+    >>> table = plan(found, press, ranges=ranges).frame()
+    >>> sorted(set(table.index.get_level_values("kind")))
+    ['cause', 'coefficient', 'core_band']
+    >>> bool((table.xs("best", level="pressing")["worth_nats"] > 0.0).all())
+    True
     """
     found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
     return PlanResult(plan_after(read_press(press), found.diagnosis, keys_of(ranges, "given-no-ranges")))

@@ -11,7 +11,7 @@ from daq.files.legible import legible
 from daq.given import names_of
 from daq.press.resin_file import Resin
 from softsensor.face.inputs import read_press, read_run, resin_of
-from softsensor.face.models import read_model
+from softsensor.face.models import model_for
 from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.live.replay import Replay, replay
@@ -101,7 +101,7 @@ def predict(
     """
     described = read_press(press)
     loaded = legible(read_run(run), described)
-    known = None if model is None else read_model(model)
+    known = None if model is None else model_for(model, described, loaded.header)
     compile_for(Work.LIVE)
     replayed = replay(described, loaded, known, loaded.named(names_of(without)), resin=resin_of(resin))
     return Prediction(replayed)

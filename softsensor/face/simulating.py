@@ -11,7 +11,7 @@ from daq.given import keys_of
 from daq.press.press_file import press_for_run
 from daq.records import Run, with_frozen_fields
 from softsensor.face.inputs import read_press, read_run
-from softsensor.face.models import read_model
+from softsensor.face.models import model_for
 from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
@@ -115,6 +115,6 @@ def simulate(
         presses = (described, press_for_run(described, loaded))
         values = thermal.guesses | coefficients_of(keys_of(model, "given-no-model"), presses, "model")
     else:
-        content = read_model(model)
+        content = model_for(model, described, loaded.header)
         thermal, values = content.model(described), {**thermal.guesses, **content.values}
     return Simulation(loaded, with_frozen_fields(simulate_run(loaded, described, thermal, values, known=moments)))

@@ -15,6 +15,7 @@ import numpy as np
 
 from daq.records import Array, Run
 from daq.words import Message, say
+from daq.words.message import words
 from softsensor.fitting.population import Knowledge
 from softsensor.fitting.result import RunFit
 from softsensor.heat.model_file import FittedValue
@@ -95,7 +96,7 @@ class Program:
             name: {"value": e.value, "sd": e.sd, "ci95": list(self.intervals[name])}
             for name, e in self.coefficients.items()
         }
-        said = {"remarks": [str(r) for r in self.remarks], "remarks_said": [r.to_json() for r in self.remarks]}
+        said = {"remarks": [words(r) for r in self.remarks], "remarks_said": [r.to_json() for r in self.remarks]}
         return {"settings": dict(self.settings), "coefficients": table, **said}
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from daq.printed import lines_of
 from daq.records import Array, Moments
 from daq.words import Message, say
+from daq.words.message import words
 from softsensor.fitting.constants import ConstantFit, constants_of
 from softsensor.fitting.problem import Evaluation, Minimum, Problem
 from softsensor.fitting.remarks import lost_insertion
@@ -188,7 +189,7 @@ class RunFit:
                 "ci95": [json_number(c.ci95[0]), json_number(c.ci95[1])],
                 "identifiable": c.identifiable,
                 "verdict": c.verdict.value,
-                "reason": str(c.reason or ""),
+                "reason": words(c.reason or ""),
                 "reason_said": c.reason and c.reason.to_json(),
             }
             for name, c in self.coefficients.items()
@@ -211,7 +212,7 @@ class RunFit:
             "opened_s": json_number(self.opened_s),
             "inserted_s": json_number(self.moments.inserted_s),
             "ramp_s": json_number(self.moments.ramp_s),
-            "warnings": [str(warning) for warning in self.warnings],
+            "warnings": [words(warning) for warning in self.warnings],
             "warnings_said": [warning.to_json() for warning in self.warnings],
         }
 

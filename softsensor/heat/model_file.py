@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.printed import on_screen
-from daq.records import KEYS_SHOWN, Array, InputError
-from daq.words import Message, say
+from daq.printed import in_notebook, on_screen
+from daq.records import KEYS_SHOWN, Array
+from daq.words import say
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
 
@@ -149,11 +149,13 @@ class ModelFile:
         lines = [f"{name} = {one.value:.4g}, sd {one.sd:.2g}" for name, one in held.items()]
         shown = [*lines[:KEYS_SHOWN], *(["..."] if len(lines) > KEYS_SHOWN else [])]
         if self.missing is not None:
-            shown.append(f"nothing is missing: {self.missing.nothing:.0%}, by {self.missing.runs} runs")
+            percent = 100.0 * self.missing.nothing
+            shown.append(str(say("printed-nothing-missing", percent=percent, runs=self.missing.runs)))
         thick = ", ".join(f"{panel.thickness_mm:g} mm" for panel in self.panels[:KEYS_SHOWN])
-        return "\n".join(
-            [f"Model {self.version} of press {self.press}", *shown, *([f"panels: {thick}"] if thick else [])]
-        )
+        panels = [str(say("printed-panels", panels=thick))] if thick else []
+        return "\n".join([str(say("printed-model", version=self.version, press=self.press)), *shown, *panels])
+
+    _repr_html_ = in_notebook
 
     @property
     def learned(self) -> dict[str, float]:
@@ -208,114 +210,6 @@ class ModelFile:
             scatter = {n: {"between": s.between, "within": s.within} for n, s in self.sisters.scatter.items()}
             content["sisters"] = {"presses": list(self.sisters.presses), "scatter": scatter}
         return content
-
-
-def parse_model(content: Any, source: str | Message) -> ModelFile:
-    """Check a model file's content. Raises InputError naming `source`, key and value."""
-    if not isinstance(content, dict) or "coefficients" not in content:
-        raise InputError(say("model-file-no-coefficients", file=source))
-    effects = []
-    for i, entry in enumerate(content.get("effects", [])):
-        if not isinstance(entry, dict) or "name" not in entry:
-            raise InputError(say("model-file-effect-unnamed", file=source, number=i))
-        effect = find_effect(str(entry["name"]))
-        table = _estimates(entry.get("parameters", {}), source, f"effects.{i}.parameters")
-        if unknown := sorted(set(table) - {p.name for p in effect.parameters}):
-            known, own = tuple(p.name for p in effect.parameters), effect.name
-            raise InputError(
-                say(
-                    "model-file-parameter-unknown", file=source, number=i, name=unknown[0], effect=own, known=known
-                )
-            )
-        effects.append((effect.name, table))
-    covariance = content.get("covariance") or {}
-    names, matrix = (covariance.get("names", ()), covariance.get("matrix", ())) if covariance else ((), ())
-    coefficients = _estimates(content["coefficients"], source, "coefficients")
-    for name, estimate in coefficients.items():
-        if estimate.value <= 0.0:
-            value = f"{estimate.value:g}"
-            raise InputError(say("model-file-coefficient-not-positive", file=source, name=name, value=value))
-    return ModelFile(
-        version=str(content.get("version", "")),
-        press=str(content.get("press", "")),
-        coefficients=coefficients,
-        effects=tuple(effects),
-        names=tuple(names),
-        covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
-        missing=_missing_causes(content["adequacy"], source) if content.get("adequacy") else None,
-        scatter=_scatter(content.get("scatter") or {}, source),
-        panels=_panels(content.get("panels") or (), source),
-        sisters=_sisters(content["sisters"], source) if content.get("sisters") else None,
-    )
-
-
-def _sisters(entry: Any, source: str | Message) -> Sisters:
-    try:
-        scatter = {
-            name: SisterScatter(float(s["between"]), float(s["within"])) for name, s in entry["scatter"].items()
-        }
-        found = Sisters(tuple(map(str, entry["presses"])), scatter)
-    except (TypeError, KeyError, ValueError, AttributeError) as error:
-        raise InputError(say("model-file-sisters", file=source, error=str(error))) from None
-    if bad := next(
-        (n for n, s in scatter.items() if not (0.0 < s.between < np.inf and 0.0 < s.within < np.inf)), None
-    ):
-        raise InputError(say("model-file-sisters", file=source, error=f"{bad}: {scatter[bad]}"))
-    return found
-
-
-def _panels(table: Any, source: str | Message) -> tuple[PressedPanel, ...]:
-    try:
-        found = tuple(PressedPanel(float(entry["thickness_mm"]), int(entry["runs"])) for entry in table)
-    except (TypeError, KeyError, ValueError) as error:
-        raise InputError(say("model-file-panels", file=source, error=str(error))) from None
-    if bad := next((p for p in found if not (0.0 < p.thickness_mm < np.inf and p.runs > 0)), None):
-        raise InputError(say("model-file-panels", file=source, error=str(bad)))
-    return tuple(sorted(found, key=lambda p: p.thickness_mm))
-
-
-def _scatter(table: Any, source: str | Message) -> dict[str, Scatter]:
-    try:
-        found = {
-            key: Scatter(float(entry["sd"]), int(entry["runs"]), float(entry.get("panel", entry["sd"])))
-            for key, entry in table.items()
-        }
-    except (TypeError, KeyError, ValueError, AttributeError) as error:
-        raise InputError(say("model-file-scatter", file=source, error=str(error))) from None
-    if bad := next((key for key, s in found.items() if not 0.0 < s.panel <= s.sd < np.inf), None):
-        raise InputError(say("model-file-scatter", file=source, error=f"{bad}: {found[bad]}"))
-    return found
-
-
-def _estimates(table: Any, source: str | Message, where: str) -> dict[str, FittedValue]:
-    if not isinstance(table, dict):
-        raise InputError(say("model-file-no-table", file=source, place=where))
-    found = {}
-    for name, entry in table.items():
-        try:
-            found[name] = FittedValue(float(entry["value"]), float(entry.get("sd") or 0.0))
-        except (TypeError, KeyError, ValueError, AttributeError):
-            place, value = f"{where}.{name}", repr(entry)
-            raise InputError(say("model-file-no-numbers", file=source, place=place, value=value)) from None
-        if not np.isfinite(found[name].value):
-            raise InputError(say("model-file-not-finite", file=source, place=f"{where}.{name}"))
-    return found
-
-
-def _missing_causes(entry: Any, source: str | Message) -> MissingCauses:
-    try:
-        causes = {
-            name: MissingCause(
-                chance=float(d["chance"]),
-                size=float(d["size"]),
-                parameters=_estimates(d["parameters"], source, f"adequacy.causes.{name}.parameters"),
-                absorbed={key: float(shift) for key, shift in d["absorbed"].items()},
-            )
-            for name, d in entry["causes"].items()
-        }
-        return MissingCauses(int(entry["runs"]), float(entry["nothing"]), float(entry["unexplained_K"]), causes)
-    except (TypeError, KeyError, ValueError, AttributeError) as error:
-        raise InputError(say("model-file-adequacy", file=source, error=str(error))) from None
 
 
 def model_text(model: ModelFile) -> str:

@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 from daq.press.press_file import Press, read_press
 from daq.press.resin_file import Resin, read_resin
@@ -26,18 +26,18 @@ from daq.process.config import Config, PressSettings
 from daq.process.notify import Notifier
 from daq.process.stopping import stop_on_signals
 from daq.records import InputError, PressState, Scan
-from daq.store import RunRecord, Store, StoredEstimate, StoreUnavailable
+from daq.store import RunRecord, ScanBatch, Store, StoredEstimate, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import open_when_ready
-from daq.supervision import BEAT_S
+from daq.supervision import BEAT_S, Untold
 from daq.words import Message, say, spoken
-from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.fitter import Fitter
-from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, PRESSED_RUNS, up_to_date, with_pressed
-from softsensor.jobs.run_fits import RunFits, write_journal
-from softsensor.jobs.sisters import begin_with_sisters
+from softsensor.jobs.guarded import Guarded
+from softsensor.jobs.live_model import LiveModel
+from softsensor.jobs.run_fits import PROCESS, RunFits, write_journal
 from softsensor.jobs.warm_up import warm_up
+from softsensor.live.forecast import Forecast
 from softsensor.live.leaving import Leave
 from softsensor.live.panels import panel_remark
 from softsensor.live.sensor import Estimate, LiveSensor
@@ -45,7 +45,6 @@ from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.screen import AFTER_SWITCH_S
 
 LOG = logging.getLogger("kerntemp.sense")
-PROCESS = "sense"
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -53,8 +52,6 @@ POLL_S = 0.02
 """How often the store is asked for new scans. [s]"""
 LOOK_S = 0.25
 """How often for a new run, a changed header, press events. [s]"""
-MODEL_S = 1.0
-"""How often for a promoted model. [s]"""
 BATCH = 400
 """Scans taken from the store at once: 40 s at 10 Hz."""
 IDLE_S = 1.0
@@ -81,8 +78,8 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         return
     with store, Fitter() as fitter:
         followers = [
-            Follower(store, settings, press, RunFits(store, settings.name, press, fitter), _resin_of(settings))
-            for settings, press in presses
+            Guarded(partial(Follower, store, own, press, RunFits(store, own.name, press, fitter), _resin_of(own)))
+            for own, press in presses
         ]
         notifier = Notifier()
         fitter.help_compiling()
@@ -112,13 +109,13 @@ def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
         warming.result()
 
 
-def _beat(store: Store, followers: list[Follower], state: str) -> None:
+def _beat(store: Store, followers: list[Guarded[Follower]], state: str) -> None:
     """Give a sign of life before or after the work, if the store takes it."""
     with suppress(StoreUnavailable):
         store.beat(store.beats_as(PROCESS), _status(followers, state))
 
 
-def _follow(store: Store, followers: list[Follower], stop: threading.Event, notifier: Notifier) -> None:
+def _follow(store: Store, followers: list[Guarded[Follower]], stop: threading.Event, notifier: Notifier) -> None:
     """Let the followers work until stopped; a store that is away is waited for."""
     trouble, beat = "", -math.inf
     while not stop.is_set():
@@ -142,9 +139,10 @@ def _follow(store: Store, followers: list[Follower], stop: threading.Event, noti
             stop.wait(POLL_S)
 
 
-def _status(followers: list[Follower], state: str) -> dict[str, Any]:
+def _status(guarded: list[Guarded[Follower]], state: str) -> dict[str, Any]:
+    followers = [one.follower for one in guarded]
     problems = [
-        say("press-problem", press=f.settings.name, problem=f.problem) for f in followers if f.problem is not None
+        say("press-problem", press=g.follower.name, problem=g.problem) for g in guarded if g.problem is not None
     ]
     going = (
         followers[0].message
@@ -161,7 +159,7 @@ def _status(followers: list[Follower], state: str) -> dict[str, Any]:
                 "run": f.live.record.run if f.live else None,
                 "last_scan": f.last,
                 "behind_scans": f.behind,
-                "model_version": f.model.version if f.model else "",
+                "model_version": f.model.version,
                 "update_us": round(f.update_us, 1),
             }
             for f in followers
@@ -180,7 +178,7 @@ class _Live:
     course: object = ()
     """The forecast's course that was stored last: one goes beside the first estimate after it was found, once."""
     departs_since: dict[str, float] = field(default_factory=dict)
-    """Channels that read something else than their neighbours, and since when; infinite once told. [s]"""
+    """Channels that read something else than their neighbours, and since when. [s]"""
 
 
 @dataclass
@@ -194,46 +192,63 @@ class Follower:
     resin: Resin | None = None
     last: int = -2
     """Newest scan taken; -2 before the first step."""
+    taking: int | None = None
+    """Scan that is being taken, or is to be read next; None while something else is done."""
+    passed: int = -1
+    """All scans up to it are passed over: the sensor has failed at them again and again."""
+    poisoned: set[int] = field(default_factory=set)
+    """Scans that are passed over singly, for the same reason."""
     behind: int = 0
     live: _Live | None = None
-    model: ModelFile | None = None
-    problem: Message | None = None
+    model: LiveModel = field(init=False)
+    refused: Message | None = None
+    """Why the run being pressed is not followed."""
     message: Message = field(default_factory=lambda: say("sense-waiting"))
     update_us: float = 0.0
-    _base_version: str = "?"
-    _rests_on: tuple[str | None, int] = (None, 0)
-    """Promoted model and newest fit, of any press, behind `model`; no text before the first look."""
     _looked: float = -math.inf
     _idle_said: float = -math.inf
-    _model_looked: float = -math.inf
     _ended: list[RunRecord] = field(default_factory=list)
     """Pressings that are over and have scans this process has not seen yet, oldest first."""
     _unwritten: list[StoredEstimate] = field(default_factory=list)
     """Said and not in the store yet: no scan goes through the sensor twice because the store was away."""
+    _untold: Untold[tuple[Literal["warning", "alarm"], Message]] = field(init=False)
+    """For the journal and not in it yet, for the same reason."""
+    _departed: set[tuple[str, str]] = field(default_factory=set)
+    """Runs and their channels of which it was told that they depart."""
+
+    def __post_init__(self) -> None:
+        """Know whom to tell."""
+        self._untold = Untold(lambda told: write_journal(self.store, *told, self.name))
+        self.model = LiveModel(self.store, self.settings, self.press, lambda why: self._untold.add(("alarm", why)))
 
     @property
     def name(self) -> str:
         """The press."""
         return self.settings.name
 
+    @property
+    def run(self) -> str:
+        """The run that is being pressed; none: empty."""
+        return self.live.record.run if self.live else ""
+
+    @property
+    def problem(self) -> Message | None:
+        """What keeps the sensor from saying what it should."""
+        return self.refused or self.model.problem
+
     def step(self, now: float) -> bool:
         """Do what there is to do; return whether there was anything."""
+        self.taking = None
         if self.last == -2:
-            last = self.store.last_scan_followed(self.name)
-            if last == -1:
-                last = self.store.newest_scan_number(self.name)
-            self.fits.take_up_what_was_left(last, self.model)
-            self.last = last
-        if now - self._model_looked > MODEL_S:
-            self._model_looked = now
-            self._refresh_model()
+            self._take_up()
+        self.model.look(now, self.run)
         if now - self._looked > LOOK_S:
             self._looked = now
             self._look()
-        if self.fits.collect(self._base_version, self.model):
-            self._model_looked = -math.inf
+        if self.fits.collect(self.model.base, self.model.file):
+            self.model.look_again()
         self._write()
-        batch = self.store.scans_after(self.name, self.last, BATCH)
+        batch = self._read_after(self.last)
         if not batch.scans:
             self.behind = 0
             return False
@@ -251,11 +266,27 @@ class Follower:
             self.live.sensor.look_ahead()  # after the estimates: nobody waits for it
         return True
 
+    def _take_up(self) -> None:
+        """Go on behind the last scan that was followed; where none was, with the next to come."""
+        last = self.store.last_scan_followed(self.name)
+        if last == -1:
+            last = self.store.newest_scan_number(self.name)
+        last = max(last, self.passed)
+        self.fits.take_up_what_was_left(last, self.model.file)
+        self.last = last
+
+    def _read_after(self, number: int) -> ScanBatch:
+        self.taking = number + 1
+        batch = self.store.scans_after(self.name, number, BATCH)
+        self.taking = None
+        return batch
+
     def _write(self) -> None:
         """Store what was said; where the store refuses, it is tried again at the next step."""
         if self._unwritten:
             self.store.append_estimates(self.name, self._unwritten)
             self._unwritten = []
+        self._untold.tell()
 
     # --- runs ---------------------------------------------------------------------------------------
 
@@ -273,7 +304,7 @@ class Follower:
         if record is None:
             self.message = Invalid(InvalidReason.NO_PANEL).message
             return
-        version = self.model.version if self.model else ""
+        version = self.model.version
         if live is None or live.record.header != record.header or live.model != version:
             self._begin(record, version)
         elif live.record.moments != record.moments:
@@ -284,7 +315,7 @@ class Follower:
             and record.moments.opened_s == record.moments.opened_s
         ):
             self.live.fitted_open = True
-            self.fits.submit(record.run, self.model)
+            self.fits.submit(record.run, self.model.file)
 
     def _turn(self, number: int) -> None:
         """Begin and finish pressings that are over already where their scans begin and end."""
@@ -296,7 +327,7 @@ class Follower:
             return
         if self.live is None or self.live.record.run != self._ended[0].run:
             self._leave(self.live.record.run if self.live else "")
-            self._begin(self._ended[0], self.model.version if self.model else "")
+            self._begin(self._ended[0], self.model.version)
 
     def _leave(self, run: str) -> None:
         if self.live is not None and self.live.record.run == run:
@@ -308,12 +339,13 @@ class Follower:
         before = self.live
         same = before is not None and before.record.header == record.header
         fitted = before is not None and before.record.run == record.run and before.fitted_open
-        self.live = _Live(record, LiveSensor(self.press, record.header, self.model, self.resin), version, fitted)
-        self.problem = None
-        if not same and (remark := panel_remark(record.header, self.model)) is not None:
-            write_journal(self.store, "warning", say("of-run", run=record.run, what=remark), self.name)
+        sensor = LiveSensor(self.press, record.header, self.model.file, self.resin)
+        self.live = _Live(record, sensor, version, fitted)
+        self.refused = None
         try:
             self._catch_up(record, said_before=same)
+            if not same and (remark := panel_remark(record.header, self.model.file)) is not None:
+                write_journal(self.store, "warning", say("of-run", run=record.run, what=remark), self.name)
         except StoreUnavailable:
             self.live = None  # to begin again from the first scan, not in the middle
             raise
@@ -321,9 +353,9 @@ class Follower:
 
     def _catch_up(self, record: RunRecord, *, said_before: bool) -> None:
         """Give the sensor the run's scans so far."""
-        number = record.first_scan - 1
+        number = max(record.first_scan - 1, self.passed)
         while number < self.last:
-            batch = self.store.scans_after(self.name, number, BATCH)
+            batch = self._read_after(number)
             names = tuple(c.name for c in batch.channels)
             scans = [s for s in batch.scans if s.number <= self.last]
             if not scans:
@@ -334,7 +366,7 @@ class Follower:
             number = scans[-1].number
 
     def _estimate(self, scan: Scan, names: tuple[str, ...]) -> StoredEstimate | None:
-        """Return what the sensor says at a scan; between pressings once a second."""
+        """Return what is said at a scan; between pressings once a second."""
         live = self.live
         if live is None or scan.number < live.record.first_scan:
             if 0.0 <= scan.monotonic_s - self._idle_said < IDLE_S:
@@ -343,6 +375,15 @@ class Follower:
             return _stored(
                 scan, Estimate(scan.monotonic_s, PressState.IDLE, invalid=Invalid(InvalidReason.NO_PANEL)), "", {}
             )
+        if scan.number in self.poisoned:
+            failed = Estimate(scan.monotonic_s, None, invalid=Invalid(InvalidReason.CALCULATION_FAILED))
+            return _stored(scan, failed, live.model, {})
+        self.taking = scan.number
+        estimate = self._estimate_of(live, scan, names)
+        self.taking = None
+        return estimate
+
+    def _estimate_of(self, live: _Live, scan: Scan, names: tuple[str, ...]) -> StoredEstimate:
         values = {
             name: value if quality.usable else float("nan")
             for name, value, quality in zip(names, scan.values, scan.qualities, strict=True)
@@ -352,8 +393,8 @@ class Follower:
         try:
             said = live.sensor.update(time_s, values)
         except InputError as error:
-            self.problem = spoken(error)
-            said = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.problem}))
+            self.refused = spoken(error)
+            said = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.refused}))
         self.update_us += UPDATE_SHARE * (1e6 * (time.perf_counter() - begun) - self.update_us)
         details = _details(live.sensor, said)
         course = live.sensor.forecast.course
@@ -364,46 +405,20 @@ class Follower:
         return _stored(scan, said, live.model, details)
 
     def _tell_departing(self, live: _Live, time_s: float) -> None:
-        """Write into the journal, once a run, which channels depart for longer than a switch."""
+        """Have told, once a run, which channels depart for longer than a switch."""
         now = live.sensor.departing
-        since = {column: at for column, at in live.departs_since.items() if column in now or at == math.inf}
+        live.departs_since = {column: live.departs_since.get(column, time_s) for column in now}
         for column, kelvin in now.items():
-            if time_s - since.setdefault(column, time_s) > AFTER_SWITCH_S:
-                since[column] = math.inf
+            told = (live.record.run, column)
+            if time_s - live.departs_since[column] > AFTER_SWITCH_S and told not in self._departed:
                 side = "below" if kelvin < 0.0 else "above"
                 said = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
-                write_journal(self.store, "warning", said, self.name)
-        live.departs_since = since
+                self._untold.add(("warning", said))
+                self._departed.add(told)
 
     def _finish(self, live: _Live) -> None:
         """A run is over: fit all of it."""
-        self.fits.submit_whole(self.store.run_record(live.record.run), self.model)
-
-    def _refresh_model(self) -> None:
-        """Take the promoted model and the newest fits made with it."""
-        active = self.store.active_model(self.name)
-        rests_on = (active.version if active else "", self.store.newest_fit_number())
-        version, fit = self._rests_on
-        if version == rests_on[0] and self.store.newest_fit_number(self.name, after=fit) == 0:
-            self._rests_on = rests_on
-            return
-        base: ModelFile | None = None
-        if active is not None:
-            base = parse_model(active.model, f"model {active.version}")
-        elif self.settings.sisters:
-            base = begin_with_sisters(self.store, self.name, self.press, PROCESS)
-        version = base.version if base is not None else PRESS_FILE
-        busy = self.live.record.run if self.live else ""
-        runs = [r for r in self.store.runs(press=self.name, limit=PRESSED_RUNS).items if r.run != busy]
-        fits = [self.store.fit(r.run) for r in runs[:NEWEST_RUNS]]
-        good = [f for f in fits if f is not None and f.get("model_version") == version]
-        if version != self._base_version:
-            if self._base_version != "?":
-                write_journal(self.store, "info", say("sense-takes-model", version=version), self.name)
-            self._base_version = version
-        model = up_to_date(self.press, base, good)
-        self.model = None if model is None else with_pressed(model, (r.header for r in runs))
-        self._rests_on = rests_on
+        self.fits.submit_whole(self.store.run_record(live.record.run), self.model.file)
 
 
 def _resin_of(settings: PressSettings) -> Resin | None:
@@ -426,11 +441,13 @@ def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
         found["profile_C"] = [round(v, 1) for v in inside.profile_C.tolist()]
         found["energy_kJ_m2"] = round(inside.energy_kJ_m2, 1)
     found["band_from"] = {kind: round(share, 3) for kind, share in sensor.band_from.items()}
-    forecast = sensor.forecast
-    for one in fields(forecast):
-        value = getattr(forecast, one.name)
-        if isinstance(value, float) and value == value:
-            found[one.name] = round(value, 1)
+    return found | _foreseen(sensor.forecast)
+
+
+def _foreseen(forecast: Forecast) -> dict[str, Any]:
+    """Return what is known of a forecast as it stands beside an estimate."""
+    times = {one.name: getattr(forecast, one.name) for one in fields(forecast)}
+    found: dict[str, Any] = {k: round(v, 1) for k, v in times.items() if isinstance(v, float) and v == v}
     if forecast.limits_blocking:
         found["limits_blocking"] = forecast.limits_blocking
     if forecast.warning is not None:

@@ -54,6 +54,16 @@ def up_to_date(press: Press, base: ModelFile | None, fits: Sequence[Mapping[str,
     return replace(combined_model(press, base, fits), version=version)
 
 
+def brought_up_to_date(
+    store: Store, press: Press, base: ModelFile | None, runs: Sequence[str]
+) -> ModelFile | None:
+    """Return the model the live sensor should start from; of `runs`, newest first, the fits made with the base."""
+    version = base.version if base is not None else PRESS_FILE
+    fits = store.fits(runs[:NEWEST_RUNS])
+    made = [fits[run] for run in runs if run in fits and fits[run].get("model_version") == version]
+    return up_to_date(press, base, made)
+
+
 def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[str, Any]]) -> ModelFile:
     """Return a base model's coefficients and those of runs taken together."""
     table = {}

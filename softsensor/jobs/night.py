@@ -22,7 +22,8 @@ from daq.records import InputError
 from daq.store import JournalEntry, ModelRecord, RunRecord, Store, StoredNight, StoreUnavailable, every
 from daq.supervision import unexpected
 from daq.words import Message, say, spoken
-from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.heat.model_file import ModelFile
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint, standing_fits

@@ -27,7 +27,8 @@ from softsensor.diagnosis.decision import Verdict
 from softsensor.effects.vocabulary import called
 from softsensor.fitting.result import left_in
 from softsensor.fitting.simulated_run import simulate_run
-from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.heat.model_file import ModelFile
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.fitter import fit_one
 from softsensor.jobs.model_in_force import combined_model, next_version, with_stored_fits
 from softsensor.jobs.night_progress import nights_for

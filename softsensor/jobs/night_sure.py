@@ -41,8 +41,6 @@ def unsure_causes(found: Diagnosis, in_force: Sequence[str]) -> list[str]:
 
 def held_back(found: Diagnosis) -> Diagnosis:
     """Return a diagnosis with what it names only suspected; as always, something is then called unknown."""
-    from softsensor.diagnosis.sign_flips import pattern_test
-
     plain = found.stages[0]
     causes = tuple(f for f in found.findings if not f.of_channels)
     channels = tuple(f for f in found.findings if f.of_channels)
@@ -55,6 +53,6 @@ def held_back(found: Diagnosis) -> Diagnosis:
         suspected=(*causes, *found.suspected),
         extended=found.base,
         stages=found.stages[:1],
-        left=pattern_test(plain.pockets()),
+        remains=found.remains[:1],
         next_measurement=next_measurement(Verdict.UNKNOWN_EFFECT, channels, seen, causes),
     )

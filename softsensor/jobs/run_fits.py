@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from daq.press.press_file import Press
-from daq.store import RunRecord, RunStatus, Store
+from daq.store import RunRecord, RunStatus, Store, StoreUnavailable
+from daq.supervision import unexpected
 from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.drift import alarms_of
@@ -51,6 +54,8 @@ class RunFits:
     _under_way: dict[str, Future[dict[str, Any]]] = field(default_factory=dict)
     _due: set[str] = field(default_factory=set)
     _alarmed: set[tuple[str, str]] = field(default_factory=set)
+    _unwatched: bool = False
+    """Whether a fit was stored since the control charts were looked at."""
 
     def take_up_what_was_left(self, last: int, model: ModelFile | None) -> None:
         """Fit those of the newest runs up to a scan that a process killed before this one has left."""
@@ -60,7 +65,8 @@ class RunFits:
         given_up = {line.arguments["run"] for line in lines if line.code in NO_FIT}
         for record in reversed(records):
             seen = record.last_scan is not None and record.last_scan <= last
-            if seen and "fingerprint" not in fits.get(record.run, {}) and record.run not in given_up:
+            asked = record.run in given_up or record.run in self._under_way or record.run in self._due
+            if seen and not asked and "fingerprint" not in fits.get(record.run, {}):
                 self.submit_whole(record, model)
 
     def submit_whole(self, record: RunRecord, model: ModelFile | None) -> None:
@@ -73,33 +79,54 @@ class RunFits:
         self._due.add(run)
         if run in self._under_way:
             return
-        loaded = self.store.load_run(run)
-        self._due.discard(run)
-        if has_panel_readings(self.press, loaded):
-            self._under_way[run] = self.fitter.submit(self.press, loaded, model)
-        elif self.store.run_record(run).status is not RunStatus.OPEN:
-            write_journal(self.store, "info", say("run-nothing-to-fit", run=run), self.name)
+        with self._giving_up(run):
+            loaded = self.store.load_run(run)
+            if has_panel_readings(self.press, loaded):
+                self._under_way[run] = self.fitter.submit(self.press, loaded, model)
+            elif self.store.run_record(run).status is not RunStatus.OPEN:
+                write_journal(self.store, "info", say("run-nothing-to-fit", run=run), self.name)
+            self._due.discard(run)
 
     def collect(self, version: str, model: ModelFile | None) -> bool:
         """Store finished fits, made with a model's effects, and look at the control charts; return whether any."""
         stored = False
         self._tell_replaced()
         for run in [run for run, future in self._under_way.items() if future.done()]:
-            future = self._under_way[run]  # kept until it is stored: the store may refuse now
-            error = future.exception()
-            if isinstance(error, BrokenProcessPool):
-                write_journal(self.store, "alarm", say("run-fit-killed", run=run), self.name)
-            elif error is not None:
-                write_journal(self.store, "warning", say("run-not-fitted", run=run, why=spoken(error)), self.name)
-            else:
-                self.store.put_fit(run, self._marked(run, future.result(), model), version)
-                stored = True
-            del self._under_way[run]
-            if error is None:
-                self._watch()
+            with self._giving_up(run):
+                stored = self._store(run, version, model) or stored
+                del self._under_way[run]  # now, not before: the store may refuse
+        if self._unwatched:
+            self._watch()
         for run in tuple(self._due):
             self.submit(run, model)
         return stored
+
+    def _store(self, run: str, version: str, model: ModelFile | None) -> bool:
+        """Store a finished fit, or journal why there is none; return whether there is one."""
+        future = self._under_way[run]
+        error = future.exception()
+        if isinstance(error, BrokenProcessPool):
+            write_journal(self.store, "alarm", say("run-fit-killed", run=run), self.name)
+        elif error is not None:
+            write_journal(self.store, "warning", say("run-not-fitted", run=run, why=spoken(error)), self.name)
+        else:
+            self.store.put_fit(run, self._marked(run, future.result(), model), version)
+            self._unwatched = True
+        return error is None
+
+    @contextmanager
+    def _giving_up(self, run: str) -> Iterator[None]:
+        """Tell an exception that nobody foresaw and leave this run without a fit: all else goes on."""
+        try:
+            yield
+        except StoreUnavailable:
+            raise
+        except Exception as error:  # the live sensor must not end, nor begin again, for one run's fit
+            LOG.exception("fit of %s", run)
+            why = unexpected(error)
+            write_journal(self.store, "alarm", say("run-not-fitted", run=run, why=why), self.name)
+            self._under_way.pop(run, None)
+            self._due.discard(run)
 
     def _tell_replaced(self) -> None:
         """Journal the fits whose worker was killed and replaced: once each, and again where the store refused."""
@@ -116,7 +143,12 @@ class RunFits:
 
     def _watch(self) -> None:
         """Write an alarm once for each coefficient that has left what is usual."""
-        for alarm in alarms_of(self.store, self.name):
-            if (alarm.coefficient, alarm.run) not in self._alarmed:
-                self._alarmed.add((alarm.coefficient, alarm.run))
-                write_journal(self.store, "warning", alarm.message, self.name, **alarm.__dict__)
+        self._unwatched = False
+        try:
+            for alarm in alarms_of(self.store, self.name):
+                if (alarm.coefficient, alarm.run) not in self._alarmed:
+                    write_journal(self.store, "warning", alarm.message, self.name, **alarm.__dict__)
+                    self._alarmed.add((alarm.coefficient, alarm.run))
+        except StoreUnavailable:
+            self._unwatched = True
+            raise

@@ -36,8 +36,8 @@ from softsensor.heat.model_file import (
     ModelFile,
     Sisters,
     SisterScatter,
-    parse_model,
 )
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.model_in_force import (
     NEWEST_RUNS,
     known_values,

@@ -126,7 +126,7 @@ def place_insertion(
     joined = time[hot][np.diff(time[hot], prepend=-math.inf) > SPARSE_S]
     ends = min(float(joined[-1]) if len(joined) else math.inf, closed, now)
     if ends - begins <= SPARSE_S:
-        return Insertion(at)
+        return Insertion(min(at, ends))
     earliest, found = max(begins, ends - LONGEST_WAIT_S), Insertion(ends - USUAL_WAIT_S, WAIT_S)
     there = hot & (time >= ends) & (time < ends + SLOPE_S)
     resting = time[(high < start_C + UPPER_K) & (time < ends)]

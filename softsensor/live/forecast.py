@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array, PressState
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
@@ -99,6 +100,8 @@ class Forecast:
     95 %, at most `COURSE_POINTS` of them. [s, °C]"""
     warning: Message | None = None
     """What is about to go wrong, in words; None: nothing."""
+
+    __repr__ = on_screen
 
     def later(self, seconds: float) -> Forecast:
         """Return the same forecast some seconds on."""

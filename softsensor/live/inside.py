@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.heat import step_terms
 from softsensor.live.kalman import KalmanFilter
@@ -25,6 +26,8 @@ class Inside:
     """At even heights from the lower to the upper face. [°C]"""
     energy_kJ_m2: float  # noqa: N815
     """Heat in the panel beyond its start, water and reactions not counted. [kJ/m²]"""
+
+    __repr__ = on_screen
 
 
 def look_inside(filters: Sequence[KalmanFilter], mixture: Mixture) -> Inside:

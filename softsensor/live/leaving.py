@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.live import mixture_steps as mixtures
 from softsensor.live.curing import ResinSetup
@@ -51,6 +52,8 @@ class Leave:
     """All that, as means and standard deviations."""
     broken: Broken = NOTHING_KNOWN
     """How likely each limit is broken; no limit where nothing is known."""
+
+    __repr__ = on_screen
 
     def holds(self, wanted: float) -> bool:
         """Return whether every limit holds with a probability; without a limit none does."""

@@ -32,6 +32,7 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.press.resin_file import Resin
+from daq.printed import in_notebook, on_screen
 from daq.records import PressState, Run
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.blocks import Scans
@@ -67,7 +68,7 @@ FORECAST_S = 2.0
 """How often the sensor looks ahead. [s]"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """What the live sensor says at one scan."""
 
@@ -103,6 +104,9 @@ class Estimate:
     def reason(self) -> InvalidReason | None:
         """Why it is not valid, without the arguments."""
         return None if self.invalid is None else self.invalid.reason
+
+    __repr__ = on_screen
+    _repr_html_ = in_notebook
 
 
 @dataclass

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from daq.printed import on_screen
 from daq.words import Message
 
 
@@ -54,6 +55,8 @@ class Invalid:
 
     reason: InvalidReason
     arguments: Mapping[str, float | Message] = field(default_factory=dict)
+
+    __repr__ = on_screen
 
     @property
     def line(self) -> str:

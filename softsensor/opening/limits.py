@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -53,19 +53,28 @@ class Normal:
         """Upper bound of 95 %."""
         return np.asarray(self.mean + BAND * self.sd)
 
+    def deviates(self, limit: float) -> Array:
+        """Return by how many standard deviations it lies below a limit, infinity where it is not known."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            away = (limit - self.mean) / self.sd
+        sure = np.where(np.asarray(self.mean) < limit, np.inf, -np.inf)
+        known = np.isfinite(self.mean) & np.isfinite(self.sd)
+        return np.asarray(np.where(known, np.where(np.asarray(self.sd) > 0.0, away, sure), np.inf))
+
     def below(self, limit: float) -> Array:
         """Return the chance that it lies below a limit, 1 where it is not known."""
-        from scipy.special import ndtr  # loads slowly, and only a press with limits asks
+        return _chance(self.deviates(limit))
 
-        with np.errstate(divide="ignore", invalid="ignore"):
-            chance = ndtr((limit - self.mean) / self.sd)
-        sure = np.where(np.asarray(self.mean) < limit, 1.0, 0.0)
-        known = np.isfinite(self.mean) & np.isfinite(self.sd)
-        return np.asarray(np.where(known, np.where(np.asarray(self.sd) > 0.0, chance, sure), 1.0))
+    @property
+    def turned(self) -> Normal:
+        """It with its sign turned: what lies above a limit lies below that of the other sign."""
+        return Normal(-np.asarray(self.mean), self.sd)
 
-    def above(self, limit: float) -> Array:
-        """Return the chance that it lies above a limit, 1 where it is not known."""
-        return Normal(-np.asarray(self.mean), self.sd).below(-limit)
+
+def _chance(deviates: Array) -> Array:
+    from scipy.special import ndtr  # loads slowly, and only a press with limits asks
+
+    return np.asarray(ndtr(deviates))
 
 
 @dataclass(frozen=True)
@@ -83,6 +92,8 @@ class PanelState:
     together: Array | float = 0.0
     """Correlation of both faces' cure."""
 
+    __repr__ = on_screen
+
 
 @dataclass(frozen=True)
 class Broken:
@@ -92,6 +103,8 @@ class Broken:
     """Of each limit there is, by its name."""
     cure: Array | float = 0.0
     """That one face or the other has cured too little."""
+    beyond: Mapping[str, Array] = field(default_factory=dict)
+    """By how many standard deviations limits are broken, by name: tells apart what is broken for certain."""
 
     __repr__ = on_screen
 
@@ -106,7 +119,10 @@ class Broken:
     def at(self, moments: np.ndarray) -> Broken:
         """Return it at some of its moments."""
         cure = self.cure[moments] if isinstance(self.cure, np.ndarray) else self.cure
-        return Broken({name: chance[moments] for name, chance in self.chances.items()}, cure)
+        chances, beyond = (
+            {name: of[moments] for name, of in each.items()} for each in (self.chances, self.beyond)
+        )
+        return Broken(chances, cure, beyond)
 
     @staticmethod
     def along(looks: Sequence[Broken]) -> Broken:
@@ -166,21 +182,21 @@ def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) ->
     >>> {k: round(float(v), 6) for k, v in found.chances.items()}, round(float(found.risk), 6)
     ({'cure_bottom': 0.5, 'cure_top': 0.5}, 0.75)
     """
-    found: dict[str, Array] = {}
+    beyond: dict[str, Array] = {}
     undercured: Array | float = 0.0
     if limits.cure_least is not None:
         least = math.inf if kinetics is None else math.log(kinetics.equivalent_s(limits.cure_least))
-        found[CURE_BOTTOM], found[CURE_TOP] = panel.cure_bottom.below(least), panel.cure_top.below(least)
+        beyond[CURE_BOTTOM], beyond[CURE_TOP] = panel.cure_bottom.deviates(least), panel.cure_top.deviates(least)
         undercured = either_below(least, panel.cure_bottom, panel.cure_top, panel.together)
     if limits.core_least_C is not None:
-        found[CORE_COLD] = panel.core.below(limits.core_least_C)
+        beyond[CORE_COLD] = panel.core.deviates(limits.core_least_C)
     if limits.core_most_C is not None:
-        found[CORE_HOT] = panel.core.above(limits.core_most_C)
+        beyond[CORE_HOT] = panel.core.turned.deviates(-limits.core_most_C)
     if limits.steam_most_kPa is not None:
         own = limits.spreads.get(STEAM_MOST, 0.0) / limits.steam_most_kPa
         steam = Normal(panel.steam.mean, np.hypot(panel.steam.sd, own))
-        found[STEAM] = steam.above(math.log(limits.steam_most_kPa))
-    return Broken(found, undercured)
+        beyond[STEAM] = steam.turned.deviates(-math.log(limits.steam_most_kPa))
+    return Broken({name: _chance(away) for name, away in beyond.items()}, undercured, beyond)
 
 
 @dataclass(frozen=True)
@@ -197,6 +213,10 @@ class Opening:
     """Where `in_s` is NaN: the limit most likely broken at the moment that comes nearest. Else empty."""
     risk: float
     """Chance that a limit is broken at `in_s`; where that is NaN, at the moment that comes nearest."""
+    beyond: float = -math.inf
+    """Where `in_s` is NaN: by how many standard deviations the limit broken most is, where that is known."""
+
+    __repr__ = on_screen
 
 
 def _falls_to(ahead_s: Array, total: Array, level: float) -> float:
@@ -238,11 +258,15 @@ def opening(ahead_s: Array, found: Broken, wanted: float) -> Opening:
     holds = total <= 1.0 - wanted + 1e-12
     likely_in = _falls_to(ahead_s, total, 0.5)
     if not holds.any():
-        nearest = int(np.argmin(total))
-        worst = max(
-            chances, key=lambda name: float(np.broadcast_to(chances[name], total.shape)[nearest]), default=""
-        )
-        return Opening(math.nan, likely_in, math.nan, worst, float(total[nearest]))
+        beyond = {name: np.broadcast_to(found.beyond.get(name, -math.inf), total.shape) for name in chances}
+        most = np.max([*beyond.values(), np.full(total.shape, -math.inf)], axis=0)
+        nearest = int(np.lexsort((most, total))[0])
+
+        def broken_most(name: str) -> tuple[float, float]:
+            return float(np.broadcast_to(chances[name], total.shape)[nearest]), float(beyond[name][nearest])
+
+        worst, risk = max(chances, key=broken_most, default=""), float(total[nearest])
+        return Opening(math.nan, likely_in, math.nan, worst, risk, float(most[nearest]))
     first = int(np.argmax(holds))
     after = np.flatnonzero(~holds[first:])
     last = first + int(after[0]) - 1 if len(after) else len(holds) - 1

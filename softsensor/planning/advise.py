@@ -265,7 +265,7 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
         tried.append(_tried(drawn, wish, kinetics, (programme, courses, quantities)))
     possible = [t for t in tried if t.possible]
     best = min(possible, key=lambda t: _cost(t, wish.goal)) if possible else None
-    nearest = best or min(tried, key=lambda t: t.opening.risk)
+    nearest = best or min(tried, key=lambda t: (t.opening.risk, t.opening.beyond))
     savings = _savings(drawn, wish, kinetics, (nearest, known[tried.index(nearest)]))
     return ProgrammeAdvice(task.header, wish, tuple(tried), best, nearest, savings)
 

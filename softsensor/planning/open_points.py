@@ -13,7 +13,7 @@ from daq.printed import on_screen
 from daq.records import Array
 from softsensor.diagnosis.advice import CORE_OFF_K
 from softsensor.diagnosis.decision import beyond_chance
-from softsensor.diagnosis.extension import SharedFit
+from softsensor.diagnosis.extension import SharedFit, evaluate
 from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of, run_values, start_eta
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
@@ -175,8 +175,10 @@ def contender(
     before = np.zeros((count, count))
     before[: len(fit.theta), : len(fit.theta)] = fit.prior_hessian
     before[len(fit.theta) :, len(fit.theta) :] = np.eye(len(constants))
-    for state, data, design in zip(fit.runs, stage.data, past, strict=True):
-        before += information_of(design, state, data, constants).information
+    for r, (run, data, design) in enumerate(zip(fit.runs, stage.data, past, strict=True)):
+        given = data.as_given  # the design holds what is not known of the panel's constants
+        state = evaluate(fit.layout, r, given, fit.theta, run.eta)
+        before += information_of(design, state, given, constants).information
     own = np.zeros(len(fit.runs)) if saves is None else saves
     return Contender(name, fit, before, own)
 

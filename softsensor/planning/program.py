@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from daq.given import pair_of
 from daq.press.header import panel_of
 from daq.press.press_file import Press, press_for_run
 from daq.press.wires import CLOSED
@@ -111,7 +112,8 @@ def given_ranges(given: Ranges, usual: Ranges) -> dict[str, tuple[float, float]]
 
     Raises InputError for one that is not among the usual, is empty, or lies beyond the limits of `FACTORS`.
     """
-    for name, (low, high) in given.items():
+    for name, ends in given.items():
+        low, high = pair_of(ends, "given-no-ranges")
         if name not in usual:
             raise InputError(say("plan-range-unknown", name=name, known=tuple(usual)))
         f = FACTORS[name]

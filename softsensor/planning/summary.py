@@ -81,7 +81,8 @@ def advice_title(found: ProgrammeAdvice) -> Message:
     shown = found.nearest
     if found.best is None:
         limit = say(f"advise-limit-{shown.opening.blocking}")
-        return say("advise-none", limit=limit, percent=100.0 * shown.opening.risk)
+        percent = 100.0 * shown.opening.risk
+        return say("advise-none", platen=shown.programme.platen_C, limit=limit, percent=percent)
     percent = 100.0 * found.wish.limits.probability
     return say("advise-best", seconds=shown.opening.in_s, platen=shown.programme.platen_C, percent=percent)
 

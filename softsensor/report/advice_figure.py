@@ -18,7 +18,7 @@ def advice_figure(found: ProgrammeAdvice, language: str = ENGLISH) -> Figure:
     """Chance that a limit is broken, over press time: at the best platens also by limit, at the others thin."""
     put = partial(words, language=language)
     allowed = 1.0 - found.wish.limits.probability
-    with sheet((7.2, 4.4), put(advice_title(found))) as figure:
+    with sheet((7.2, 4.4), language, advice_title(found)) as figure:
         ax = figure.subplots()
         for tried in found.tried:
             whole = np.broadcast_to(tried.broken.risk, tried.press_time_s.shape)

@@ -27,7 +27,7 @@ def worst_run_figure(curves: Curves, language: str = ENGLISH) -> Figure:
     drawn = [("plain", PLAIN, say("figure-plain"))]
     if curves["core"]["extended_C"] is not None:
         drawn.append(("extended", EXTENDED, say("figure-extended")))
-    with sheet((10.0, 5.8), put(_run_title(curves))) as figure:
+    with sheet((10.0, 5.8), language, _run_title(curves)) as figure:
         axes = figure.subplots(2, len(places), sharex=True, squeeze=False, height_ratios=[3, 1.5])
         for j, place in enumerate(places):
             top, low = axes[0, j], axes[1, j]
@@ -101,7 +101,7 @@ def residual_figure(curves: Curves, language: str = ENGLISH) -> Figure:
     models = [put(say("figure-model", model=model)) for model in (say("figure-plain"), say("figure-extended"))]
     campaign = curves["campaign"]
     places, since = campaign["places"], _array(campaign["since_s"])
-    with sheet((10.0, 3.4), put(say("figure-residuals"))) as figure:
+    with sheet((10.0, 3.4), language, say("figure-residuals")) as figure:
         axes = figure.subplots(1, len(places), sharey=True, squeeze=False)[0]
         for ax, place in zip(axes, places, strict=True):
             ax.set_title(put(place_words(place["place"])), color=MUTED)
@@ -136,7 +136,7 @@ def votes_figure(curves: Curves, language: str = ENGLISH) -> Figure | None:
     names = curves["campaign"]["runs"]
     for_it = int((_array(rivals[0]["gains"]) > 0).sum())
     title = say("figure-votes", better=for_it, runs=len(names), cause=called(rivals[0]["cause"]))
-    with sheet((10.0, 3.2), put(title)) as figure:
+    with sheet((10.0, 3.2), language, title) as figure:
         ax = figure.subplots()
         colours = (EXTENDED, *COLOURS[1:], MUTED)
         for k, rival in enumerate(rivals):
@@ -159,7 +159,7 @@ def law_figure(law: Mapping[str, Any] | None, language: str = ENGLISH) -> Figure
     if law is None:
         return None
     x, value, low, high = np.array(law["curve"], dtype=float).T
-    with sheet((10.0, 3.2), put(say(f"law-kind-{law['kind']}"))) as figure:
+    with sheet((10.0, 3.2), language, say(f"law-kind-{law['kind']}")) as figure:
         ax = figure.subplots()
         ax.fill_between(x, low, high, color=EXTENDED, alpha=0.2, lw=0.0)
         ax.plot(x, value, color=EXTENDED, lw=1.4)
@@ -177,4 +177,4 @@ def diagnosis_pictures(curves: Curves, law: Mapping[str, Any] | None, language: 
         "law_svg": law_figure(law, language),
         "votes_svg": votes_figure(curves, language),
     }
-    return {name: "" if figure is None else svg(figure, language) for name, figure in figures.items()}
+    return {name: "" if figure is None else svg(figure) for name, figure in figures.items()}

@@ -64,25 +64,25 @@ _STYLING = RLock()
 
 
 @contextmanager
-def sheet(size: tuple[float, float], title: str = "") -> Iterator[Figure]:
-    """Make a figure [in] in the reports' style, under a title."""
+def sheet(size: tuple[float, float], language: str, title: Message | None = None) -> Iterator[Figure]:
+    """Make a figure [in] in the reports' style, under a title; its axes have the language's decimal sign."""
     with _STYLING, rc_context(dict(STYLE)):
         figure = Figure(figsize=size, layout="constrained")
-        if title:
-            figure.suptitle(title, x=0.01, ha="left", color=INK, weight="bold")
+        if title is not None:
+            figure.suptitle(words(title, language), x=0.01, ha="left", color=INK, weight="bold")
         yield figure
+        sign = words(say("report-tenths", value=0.5), language)[1]
+        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            told = axis.get_major_formatter()
+            if isinstance(told, ScalarFormatter):
+                axis.set_major_formatter(_Signed(sign))
+            elif isinstance(told, StrMethodFormatter):
+                axis.set_major_formatter(FuncFormatter(_with_sign(told, sign)))
 
 
-def svg(figure: Figure, language: str = ENGLISH) -> str:
-    """Return a figure as SVG text, the same for the same figure; its axes have the language's decimal sign."""
+def svg(figure: Figure) -> str:
+    """Return a figure as SVG text, the same for the same figure."""
     buffer = io.BytesIO()
-    sign = words(say("report-tenths", value=0.5), language)[1]
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        told = axis.get_major_formatter()
-        if isinstance(told, ScalarFormatter):
-            axis.set_major_formatter(_Signed(sign))
-        elif isinstance(told, StrMethodFormatter):
-            axis.set_major_formatter(FuncFormatter(_with_sign(told, sign)))
     with _STYLING, rc_context(dict(STYLE)):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue().decode()
@@ -108,14 +108,14 @@ class _Signed(ScalarFormatter):
 
 def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str, str]:
     """Return every figure of a campaign as SVG text, by name: the runs, the coefficients, what moves together."""
-    figures = {"coefficients": svg(coefficients_figure(campaign, language), language)}
+    figures = {"coefficients": svg(coefficients_figure(campaign, language))}
     if scattered(campaign):
-        figures["coefficients_normalised"] = svg(normalised_figure(campaign, language), language)
+        figures["coefficients_normalised"] = svg(normalised_figure(campaign, language))
     for fitted in campaign.runs:
-        figures[f"measured_{fitted.run}"] = svg(fitted_run_figure(fitted, language), language)
+        figures[f"measured_{fitted.run}"] = svg(fitted_run_figure(fitted, language))
         if (core := fitted_core(fitted)) is not None:
-            figures[f"core_{fitted.run}"] = svg(core_figure(fitted, core, language), language)
-        figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language), language)
+            figures[f"core_{fitted.run}"] = svg(core_figure(fitted, core, language))
+        figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language))
     return figures
 
 
@@ -126,7 +126,7 @@ def fitted_run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
     after, before = _predictions(fitted)
     off = {"fit": fitted.rmse_K, "guesses": fitted.initial_rmse_K}
     code = "figure-fit" if fitted.met else "figure-not-described"
-    with sheet((10.0, 5.6), put(Message(code, {"run": fitted.run, **off}))) as figure:
+    with sheet((10.0, 5.6), language, Message(code, {"run": fitted.run, **off})) as figure:
         axes = figure.subplots(2, len(places), sharex=True, squeeze=False, height_ratios=[3, 1.25])
         for j, place in enumerate(places):
             colour = COLOURS[j % len(COLOURS)]
@@ -150,7 +150,7 @@ def core_figure(fitted: RunFit, found: FittedCore, language: str = ENGLISH) -> F
     measured = np.flatnonzero(np.isfinite(found.measured))
     known: dict[str, float | str] = {"run": fitted.run, "half": widest}
     title = say("figure-core-fitted-measured", **known, error=found.error_K)
-    with sheet((10.0, 3.2), put(title if len(measured) else say("figure-core-fitted", **known))) as figure:
+    with sheet((10.0, 3.2), language, title if len(measured) else say("figure-core-fitted", **known)) as figure:
         ax = figure.subplots()
         ax.fill_between(
             t, found.low, found.high, color=COLOURS[0], alpha=0.22, lw=0, label=put(say("figure-core-band"))
@@ -245,7 +245,7 @@ def coefficients_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figur
     names = list(campaign.coefficients)
     columns = min(3, max(len(names), 1))
     rows = -(-len(names) // columns)
-    with sheet((10.0, 2.4 * rows + 0.5), put(_campaign_title(campaign))) as figure:
+    with sheet((10.0, 2.4 * rows + 0.5), language, _campaign_title(campaign)) as figure:
         axes = figure.subplots(rows, columns, squeeze=False)
         for ax, name in zip(axes.flat, names, strict=False):
             _draw_coefficient(ax, campaign, name, put)
@@ -324,7 +324,7 @@ def normalised_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
     names = scattered(campaign)
     most = max(names, key=lambda n: campaign.coefficients[n].spread)
     title = say("figure-normalised", name=most, percent=100 * campaign.coefficients[most].spread)
-    with sheet((10.0, 3.3), put(title)) as figure:
+    with sheet((10.0, 3.3), language, title) as figure:
         ax = figure.subplots()
         for j, name in enumerate(names):
             c = campaign.coefficients[name]
@@ -365,7 +365,7 @@ def correlation_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
     put = partial(words, language=language)
     names = list(fitted.names)
     matrix = np.where(np.eye(len(names)) > 0, np.nan, fitted.correlation)
-    with sheet((7.4, 6.2)) as figure:
+    with sheet((7.4, 6.2), language) as figure:
         ax = figure.subplots()
         image = ax.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
         ax.set_xticks(range(len(names)), names, rotation=90)
@@ -380,7 +380,7 @@ def roughness_figure(found: Reproduction, language: str = ENGLISH) -> Figure:
     """Draw the cost along one coefficient for an adaptive and for the exact solver."""
     put = partial(words, language=language)
     percent = 100.0 * (found.relative - 1.0)
-    with sheet((8.0, 3.6), put(say("figure-roughness"))) as figure:
+    with sheet((8.0, 3.6), language, say("figure-roughness")) as figure:
         ax = figure.subplots()
         ax.plot(percent, found.adaptive, "o-", ms=2.5, lw=0.9, color=COLOURS[0], label=put(say("figure-adaptive")))
         ax.plot(percent, found.exact, lw=1.8, color=COLOURS[1], label=put(say("figure-exact")))

@@ -60,11 +60,9 @@ def fit_report(campaign: CampaignFit, program: Program | None = None, language: 
         names=list(campaign.coefficients),
         unknown=_unknown(campaign),
         warnings=[(f.run, w) for f in campaign.runs for w in f.warnings if not is_verdict_on(w, f.coefficients)],
-        coefficients_svg=svg(coefficients_figure(campaign, language), language),
-        normalised_svg=svg(normalised_figure(campaign, language), language) if scattered(campaign) else "",
-        run_figures=[
-            (title, svg(fitted_run_figure(f, language), language), _core_svg(f, language)) for title, f in shown
-        ],
+        coefficients_svg=svg(coefficients_figure(campaign, language)),
+        normalised_svg=svg(normalised_figure(campaign, language)) if scattered(campaign) else "",
+        run_figures=[(title, svg(fitted_run_figure(f, language)), _core_svg(f, language)) for title, f in shown],
         together_most=moves_with(shown[0][1]),
         dependence=list(_dependence(campaign)),
         program=_program(program),
@@ -98,7 +96,7 @@ def finding(campaign: CampaignFit) -> tuple[Message | str, ...]:
 
 def _core_svg(fitted: RunFit, language: str) -> str:
     core = fitted_core(fitted)
-    return "" if core is None else svg(core_figure(fitted, core, language), language)
+    return "" if core is None else svg(core_figure(fitted, core, language))
 
 
 def _typical_and_worst(campaign: CampaignFit) -> list[tuple[Message, RunFit]]:
@@ -222,5 +220,5 @@ def paper_report(found: Reproduction, language: str = ENGLISH) -> str:
         language,
         rows=[list(row.values()) for row in found.rows],
         last=found.said,
-        figure=svg(roughness_figure(found, language), language),
+        figure=svg(roughness_figure(found, language)),
     )

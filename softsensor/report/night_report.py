@@ -17,6 +17,7 @@ from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called, coefficient_words, parameters_shown
+from softsensor.jobs.model_in_force import PRESS_FILE
 from softsensor.jobs.night_record import NightRecord
 from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page
@@ -96,7 +97,11 @@ def _run(name: str, started_utc: datetime | None, fit: Mapping[str, Any] | None)
     if not fit:
         return {"run": name, "started": started, "rmse": "–", "guesses": "–", "with": say("night-not-fitted")}
     rmse, guesses = kelvins(fit["rmse_K"]), kelvins(fit["initial_rmse_K"])
-    return {"run": name, "started": started, "rmse": rmse, "guesses": guesses, "with": fit["model_version"]}
+    if any(warning["code"] == "fit-not-described-check" for warning in fit.get("warnings_said", ())):
+        rmse = say("night-run-not-described", rmse=rmse)
+    version = fit["model_version"]
+    told = say("night-with-press-file") if version == PRESS_FILE else version
+    return {"run": name, "started": started, "rmse": rmse, "guesses": guesses, "with": told}
 
 
 def _in_force(model: Mapping[str, Any], bodies: Callable[[str], Message | str]) -> list[dict[str, Any]]:

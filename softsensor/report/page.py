@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, select_autoescape
+from markupsafe import Markup
 
 from daq.words import Message, say
 from daq.words.message import ENGLISH, sentences, words
+
+UNIT = re.compile(r"(?<=\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|W|N|kJ)(?!\w))")
+"""Between a number and its unit no line ends, on the page neither."""
 
 
 def page(template: str, language: str = ENGLISH, **content: Any) -> str:
@@ -21,11 +26,17 @@ def page(template: str, language: str = ENGLISH, **content: Any) -> str:
     KeyError
         For a language that has no words.
     """
+
+    def put(value: Any) -> Any:
+        if isinstance(value, Markup) or not isinstance(value, Message | str):
+            return value
+        return UNIT.sub("\N{NO-BREAK SPACE}", words(value, language))
+
     pages = Environment(
         loader=PackageLoader("softsensor", "templates"),
         autoescape=select_autoescape(),
         trim_blocks=True,
-        finalize=lambda value: words(value, language) if isinstance(value, Message) else value,
+        finalize=put,
     )
     pages.globals |= {"say": say, "together": partial(sentences, language=language), "language": language}
     pages.filters["capital"] = lambda text: _capital(words(text, language))

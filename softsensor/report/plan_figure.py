@@ -20,7 +20,7 @@ def plan_figure(found: Plan, language: str = ENGLISH) -> Figure:
     put = partial(words, language=language)
     kinds = ("best", "with_core", "repeated")
     bar = 1.0 / (len(kinds) + 1)  # with a gap of one between points
-    with sheet((8.0, 1.8 + 0.8 * len(found.points)), put(say("figure-worth-of-pressing"))) as figure:
+    with sheet((8.0, 1.8 + 0.8 * len(found.points)), language, say("figure-worth-of-pressing")) as figure:
         ax = figure.subplots()
         for number, kind in enumerate(kinds):
             pressings = [(at, getattr(advice, kind)) for at, advice in enumerate(found.points)]

@@ -20,7 +20,7 @@ def steam_figure(found: SteamLimit, chance: pd.Series, language: str = ENGLISH) 
     """Draw the chance of a blister over steam [kPa], and what half of the panels bear with its interval."""
     put = partial(words, language=language)
     _, bear, *_ = limit_said(found)
-    with sheet((7.2, 4.0), put(bear)) as figure:
+    with sheet((7.2, 4.0), language, bear) as figure:
         ax = figure.subplots()
         ax.plot(chance.index, 100.0 * chance, color=COLOURS[0], lw=2.0)
         ax.axvspan(*found.ci95_kPa, color=COLOURS[0], alpha=0.12, lw=0)

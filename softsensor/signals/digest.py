@@ -104,6 +104,9 @@ class Digest:
     """Validation channels by bin. [°C]"""
     cases: Mapping[bool, Case]
     """Ready to solve, without and with paper layers."""
+    panel_rows: Array
+    """What each of the panel's own constants moves the signals by (bins, signals, constants), by one standard
+    deviation of what panels differ by; none before a model was fitted. [K]"""
 
     __repr__ = on_screen
 
@@ -116,6 +119,11 @@ class Digest:
     def trust(self) -> Array:
         """Weights of residuals in kelvin: small where a timing error turns a steep slope into one."""
         return np.asarray(PLAIN_K / np.hypot(PLAIN_K, 2.0 * TIMING_S * self.slope))
+
+    @property
+    def as_given(self) -> Digest:
+        """The same with the panel's constants held at those given."""
+        return replace(self, panel_rows=self.panel_rows[..., :0])
 
     def bins(self, rows: Array) -> Array:
         """Average rows at the sample times (samples, ...) over the bins (bins, ...)."""
@@ -188,6 +196,7 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
         slope=slope,
         cores=cores,
         cases=cases,
+        panel_rows=np.zeros((*y.shape, 0)),
     )
 
 
@@ -322,15 +331,23 @@ class Whitened:
     noise: MeanNoise
     inverses: tuple[Array, ...]
     """Of the covariances' Cholesky factors, by signal."""
+    panel_sd: float
+    """How far the panel's own constants may lie off, in what panels differ by: less where a model is further off
+    than this noise, since they would take up what it leaves."""
 
     __repr__ = on_screen
 
+    @property
+    def as_given(self) -> Whitened:
+        """The same with the panel's constants held at those given."""
+        return replace(self, digest=self.digest.as_given)
+
     @staticmethod
-    def of(digest: Digest, noise: MeanNoise) -> Whitened:
+    def of(digest: Digest, noise: MeanNoise, panel_sd: float = 1.0) -> Whitened:
         """Factor the covariances."""
         factors = (whitener(digest, noise, i) for i in range(len(digest.signals)))
         inverses = (solve_triangular(f, np.eye(len(f)), lower=True, check_finite=False) for f in factors)
-        return Whitened(digest, noise, tuple(inverses))
+        return Whitened(digest, noise, tuple(inverses), panel_sd)
 
     def __call__(self, values: Array) -> Array:
         """Return the whitened valid entries, signal after signal (entries, ...)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -23,6 +22,7 @@ from daq.store.records import NewRun, RunEnd, StoredEstimate, StoredNight
 from daq.store.store import Store, open_store
 from daq.words import say
 from tests.curves import CURVES
+from tests.patience import wait_until
 
 LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text(encoding="utf-8")
 STARTED = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -152,9 +152,7 @@ class Server(uvicorn.Server):
     def run_in_thread(self) -> threading.Thread:
         thread = threading.Thread(target=self.run, daemon=True)
         thread.start()
-        deadline = time.monotonic() + 240
-        while not self.started and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_until(lambda: self.started)
         port = self.servers[0].sockets[0].getsockname()[1]
         self.url = f"http://127.0.0.1:{port}"
         return thread

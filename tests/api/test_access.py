@@ -13,6 +13,7 @@ from api.http.gate import SLOWED_S, is_loopback
 from api.http.server import Listening, address_of
 from api.http.tokens import ATTEMPTS, Attempts, TokenFile
 from daq.records import InputError
+from daq.tables import LARGEST_BYTES
 from daq.words import spoken
 from daq.words.message import words
 
@@ -199,7 +200,7 @@ def test_two_tokens_of_one_name_are_refused(tmp_path):
             b'[{"id": "a", "name": "tablet", "scope": "", "sha256": "", "created_utc": ""}]',
             "Zugangstoken tablet",
         ),
-        (b" " * 10_000_001, "keine Datei von Zugangstoken"),
+        (b" " * (LARGEST_BYTES + 1), "keine Datei von Zugangstoken"),
     ],
 )
 def test_what_is_wrong_with_the_file_of_tokens_is_said_in_one_language(tmp_path, text, said):

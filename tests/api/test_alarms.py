@@ -10,7 +10,6 @@ import ssl
 import subprocess
 import sys
 import threading
-import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -28,7 +27,8 @@ from aiosmtpd.smtp import AuthResult
 from cryptography import x509
 
 from api.alarms.watch import look, send_due
-from api.alarms.ways import NotDelivered, Webhook, ways_of
+from api.alarms.ways import NotDelivered, ways_of
+from api.answers.alarms import alarm_of
 from api.answers.health import NEVER_SEEN, SILENT_S, health_of, standing_alarms
 from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
@@ -37,6 +37,7 @@ from daq.store.records import NewRun, StandingAlarm, StoredEstimate
 from daq.supervision import IN_USE_S
 from daq.words import say
 from tests.api.certificates import self_signed
+from tests.patience import wait_until
 
 LAB = Path(__file__).parents[2] / "deploy/presses/lab.toml"
 LOGGER = 'profile = "exemys-rme1-tc"\nhost = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n'
@@ -77,6 +78,10 @@ def mail():
         ),
     )
     server.stop()
+
+
+MAIL = "email shift@plant.example"
+"""The way to the mailbox."""
 
 
 def free_port():
@@ -140,12 +145,27 @@ def test_a_condition_that_stands_is_raised_once_and_ends_when_it_has_been_calm(s
 
 def test_each_alarm_of_the_journal_is_taken_up_once_also_those_of_a_time_nobody_watched(store):
     store.log("alarm", "record", say("run-fit-killed", run="old"))
-    store.watch_alarms([], ["email"], NOW)  # what was before the first look is history
+    store.watch_alarms([], [MAIL], NOW)  # what was before the first look is history
     for run in ("a", "b"):
         store.log("alarm", "record", say("run-fit-killed", run=run), "lab")
         store.log("info", "record", say("run-fit-killed", run=run), "lab")
-    assert [store.watch_alarms([], ["email"], NOW) for _ in range(2)] == [2, 0]
+    assert [store.watch_alarms([], [MAIL], NOW) for _ in range(2)] == [2, 0]
     assert [a.message.arguments["run"] for a in store.alarms(pending=True).items] == ["b", "a"]
+
+
+@pytest.mark.parametrize("pending", [False, True])
+def test_every_alarm_is_on_one_page(store, pending):
+    for i in range(5):
+        store.watch_alarms([replace(HOT, key=f"hot {i}")], [], seconds(0))
+    found, cursor = [], None
+    for _ in range(5):
+        page = store.alarms(limit=2, cursor=cursor, pending=pending)
+        found.append([alarm.number for alarm in page.items])
+        if (cursor := page.next_cursor) is None:
+            break
+    assert [len(page) for page in found] == [2, 2, 1]
+    numbers = [number for page in found for number in page]
+    assert numbers == sorted(set(numbers), reverse=True)
 
 
 def test_the_first_to_acknowledge_an_alarm_is_kept(store):
@@ -177,7 +197,7 @@ def test_an_alarm_reaches_mailbox_and_receiver_once_each(store, mail, receiver, 
 def test_a_mail_in_german_where_the_plant_reads_german(store, mail):
     inbox, settings = mail
     ways = ways_of(settings.model_copy(update={"language": "de"}), None, "store")
-    store.watch_alarms([HOT], ["email"], NOW)
+    store.watch_alarms([HOT], [MAIL], NOW)
     send_due(store, ways, lambda: NOW)
     assert "der Kern ist über 110 °C" in inbox.mails[0].get_payload(decode=True).decode()
     with pytest.raises(InputError, match="there are words for en, de"):
@@ -227,7 +247,7 @@ def test_a_mail_goes_over_tls_also_with_a_password_that_is_no_ascii(store, tls_m
     server, settings, password = tls_mail
     password.write_text("Prüfling\n", encoding="utf-8")
     ways = ways_of(settings, None, "store")
-    store.watch_alarms([HOT], ["email"], NOW)
+    store.watch_alarms([HOT], [MAIL], NOW)
     assert send_due(store, ways, lambda: NOW) == 0
     (said,) = store.journal(level="warning").items
     assert "535" in str(said.message)
@@ -245,7 +265,7 @@ def test_a_password_file_that_is_no_text_is_told_and_keeps_no_other_way_waiting(
     with pytest.raises(InputError, match="password"):
         ways_of(told, None, "store")
     ways = [replace(way, settings=told), *ways_of(None, hook(tmp_path, receiver.port), "store")]
-    store.watch_alarms([HOT], ["email", "webhook"], NOW)
+    store.watch_alarms([HOT], [way.name for way in ways], NOW)
     assert send_due(store, ways, lambda: NOW) == 1
     assert len(receiver.posts) == 1
 
@@ -255,7 +275,7 @@ def test_a_receiver_that_refuses_is_asked_again_later_and_told_of_once(store, ma
     inbox.refusals = 2
     receiver.refuse.append(True)
     ways = ways_of(settings, hook(tmp_path, receiver.port), "store")
-    store.watch_alarms([HOT], ["email", "webhook"], NOW)
+    store.watch_alarms([HOT], [way.name for way in ways], NOW)
     sent = [send_due(store, ways, lambda s=s: seconds(s)) for s in (0, 1, 5, 6, 15)]
     assert sent == [0, 0, 0, 0, 1]  # after 5 s, then after another 10
     receiver.refuse.clear()
@@ -267,19 +287,19 @@ def test_a_receiver_that_refuses_is_asked_again_later_and_told_of_once(store, ma
 
 
 def test_a_delivery_is_in_one_hand_at_a_time(store):
-    store.watch_alarms([HOT], ["email"], NOW)
-    mine = store.take_delivery(["email"], NOW)
-    assert store.take_delivery(["email"], seconds(40)) is None
-    again = store.take_delivery(["email"], seconds(50))  # the first hand was killed
+    store.watch_alarms([HOT], [MAIL], NOW)
+    mine = store.take_delivery([MAIL], NOW)
+    assert store.take_delivery([MAIL], seconds(40)) is None
+    again = store.take_delivery([MAIL], seconds(50))  # the first hand was killed
     assert (mine.tries, again.tries, again.alarm) == (1, 2, mine.alarm)
     store.delivered(again, seconds(51))
-    assert store.take_delivery(["email"], seconds(9999)) is None
+    assert store.take_delivery([MAIL], seconds(9999)) is None
 
 
 def test_a_receiver_that_is_gone_and_one_that_sends_elsewhere_have_not_taken_it(tmp_path, store):
     store.watch_alarms([HOT], [], NOW)
     with pytest.raises(NotDelivered, match="refused"):
-        Webhook(hook(tmp_path, free_port())).deliver(store.alarms().items[0])
+        ways_of(None, hook(tmp_path, free_port()), "store")[0].deliver(store.alarms().items[0])
 
 
 SERVE = """
@@ -325,10 +345,7 @@ def test_no_alarm_is_lost_over_a_kill_and_none_doubled(store, store_url, mail, t
         return running[-1]
 
     def until(done):
-        deadline = time.monotonic() + 240.0
-        while not done():
-            assert time.monotonic() < deadline, store.alarms().items
-            time.sleep(0.05)
+        wait_until(done, lambda: store.alarms().items)
 
     def of(code):
         return [a for a in store.alarms(limit=100).items if a.message.code == code]
@@ -364,9 +381,30 @@ def test_what_a_server_without_mail_raises_is_mailed_once_by_one_that_has_it(sto
     assert store.watch_alarms([HOT], [], seconds(2)) == 1  # the server without mail is faster
     store.log("alarm", "record", say("run-fit-killed", run="one"), "lab")
     assert store.watch_alarms([HOT], [], seconds(4)) == 1
-    assert store.watch_alarms([HOT], ["email"], seconds(6)) == 0
+    assert store.watch_alarms([HOT], [MAIL], seconds(6)) == 0
     assert [send_due(store, ways, lambda: datetime.now(UTC)) for ways in ([], mails, mails)] == [0, 2, 0]
     assert len({m["Message-ID"] for m in inbox.mails}) == 2
+
+
+def test_servers_with_other_readers_and_receivers_over_one_store_reach_everybody_once(
+    store, mail, receiver, tmp_path, request
+):
+    inbox, settings = mail
+    other = Receiver()
+    request.addfinalizer(other.close)
+    (tmp_path / "other").mkdir()
+    both = settings.model_copy(update={"to": ("shift@plant.example", "Boss@plant.example")})
+    servers = [
+        ways_of(settings, hook(tmp_path, receiver.port), "store"),
+        ways_of(both, hook(tmp_path / "other", other.port), "store"),
+    ]
+    for ways in servers:
+        store.watch_alarms([HOT], [way.name for way in ways], NOW)
+    assert [send_due(store, ways, lambda: NOW) for ways in (*servers, *servers)] == [2, 2, 0, 0]
+    assert sorted(m["To"] for m in inbox.mails) == ["Boss@plant.example", "shift@plant.example"]
+    assert len({m["Message-ID"] for m in inbox.mails}) == 2
+    assert [len(one.posts) for one in (receiver, other)] == [1, 1]
+    assert "secret" not in repr(servers)
 
 
 def test_what_stands_goes_by_a_way_that_is_new_and_what_is_over_does_not(store, mail):
@@ -377,7 +415,7 @@ def test_what_stands_goes_by_a_way_that_is_new_and_what_is_over_does_not(store, 
     store.watch_alarms([HOT], [], seconds(90))
     later = seconds(90) + timedelta(seconds=IN_USE_S)
     for at in (seconds(90), later, later + timedelta(seconds=IN_USE_S + 1)):  # there, still there, back again
-        store.watch_alarms([HOT], ["email"], at)
+        store.watch_alarms([HOT], [MAIL], at)
         assert send_due(store, ways_of(settings, None, "store"), lambda: seconds(90 + 4 * IN_USE_S)) in (0, 1)
     assert len(inbox.mails) == 1
 
@@ -385,25 +423,25 @@ def test_what_stands_goes_by_a_way_that_is_new_and_what_is_over_does_not(store, 
 def test_what_came_and_went_while_a_way_was_gone_is_not_sent_when_it_is_back(store, mail):
     inbox, settings = mail
     before, during = replace(HOT, key="before"), replace(HOT, key="during")
-    store.watch_alarms([before], ["email"], NOW)  # in its hands when it went
+    store.watch_alarms([before], [MAIL], NOW)  # in its hands when it went
     store.watch_alarms([during], [], seconds(120))
     store.watch_alarms([], [], seconds(300))
     back = seconds(IN_USE_S + 60)
-    store.watch_alarms([], ["email"], back)
+    store.watch_alarms([], [MAIL], back)
     assert [send_due(store, ways_of(settings, None, "store"), lambda: back) for _ in range(2)] == [1, 0]
     assert len(inbox.mails) == 1
 
 
 def test_a_way_that_no_server_has_any_longer_is_not_queued_for(store):
-    store.watch_alarms([], ["email", "webhook"], NOW)
+    store.watch_alarms([], [MAIL, "webhook"], NOW)
     store.watch_alarms([], ["webhook"], seconds(IN_USE_S))
     store.watch_alarms([HOT], [], seconds(IN_USE_S + 1))
-    assert store.take_delivery(["email"], seconds(IN_USE_S + 2)) is None
+    assert store.take_delivery([MAIL], seconds(IN_USE_S + 2)) is None
     assert store.take_delivery(["webhook"], seconds(IN_USE_S + 2)) is not None
 
 
 def test_two_servers_that_look_at_the_same_moment_raise_an_alarm_once(store, store_url):
-    store.watch_alarms([], ["email"], NOW)
+    store.watch_alarms([], [MAIL], NOW)
     with ThreadPoolExecutor(4) as pool, ExitStack() as opened:
         stores = [opened.enter_context(open_store(store_url)) for _ in range(4)]
         for n in range(10):
@@ -436,10 +474,7 @@ def test_alarms_are_mailed_whichever_of_two_servers_raises_them(store, store_url
     email = f"[email]\nhost = '127.0.0.1'\nport = {settings.port}\n{to}\n"
 
     def until(done):
-        deadline = time.monotonic() + 240.0
-        while not done():
-            assert time.monotonic() < deadline, (store.alarms().items, inbox.mails)
-            time.sleep(0.05)
+        wait_until(done, lambda: (store.alarms().items, inbox.mails))
 
     def log(run):
         store.log("alarm", "record", say("run-fit-killed", run=run), "lab")
@@ -555,6 +590,17 @@ def test_health_and_the_list_of_alarms_tell_the_same_of_a_limit_at_any_moment(st
         store.put_alarm_thresholds("lab", limits, "engineer")
         assert [any(m.startswith("lab: ") for m in each) for each in told()] == [stands, stands]
     assert len(store.alarms().items) == 1  # calm for less than a minute: the same one
+
+
+def test_an_alarm_that_stands_says_for_how_long_by_now_and_one_that_is_over_as_it_was_raised(store):
+    def silent(seconds):
+        return say("health-process-silent", process="sense", seconds=seconds, command="sense")
+
+    store.watch_alarms([StandingAlarm("silent", None, silent(15.0))], [], NOW)
+    (stored,) = store.alarms().items
+    told = [alarm_of(stored, standing).message for standing in ({"silent": silent(290.0)}, {}, None)]
+    assert told == [str(silent(290.0)), str(silent(15.0)), str(silent(15.0))]
+    assert "4 min 50 s" in told[0]
 
 
 def test_a_process_that_starts_with_the_watch_is_missed_only_when_it_could_have_spoken(store):

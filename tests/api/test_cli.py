@@ -283,7 +283,9 @@ def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_p
     assert main(["import", first, *press]) == 0
     capsys.readouterr()
     paths = [str(path) for path in sorted(files.glob("*.csv"))]
-    assert main(["import", *paths, *press]) == 2
+    doubtful = tmp_path / "doubtful.csv"  # nothing is said of what nothing was done with
+    doubtful.write_text('# run = "another"\n# shift = 2\n' + Path(first).read_text().split("\n", 1)[1])
+    assert main(["import", *paths, str(doubtful), *press]) == 2
     assert f"{first}: run " in (line := one_line(capsys))
     assert "is in the store already" in line
     assert main(["export", "--store", store]) == 0

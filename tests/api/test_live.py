@@ -1,7 +1,6 @@
 import json
 import socket
 import threading
-import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -11,6 +10,7 @@ import pytest
 from api.http.news import Position
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store.records import NewRun, PressKey
+from tests.patience import wait_until
 
 PATIENT_S = 240.0
 """A busy machine answers late, and fails no test for it. [s]"""
@@ -47,13 +47,11 @@ class Stream:
             return
 
     def wait(self, name: str, count: int = 1) -> list[dict[str, object]]:
-        deadline = time.monotonic() + 240
-        while time.monotonic() < deadline:
-            found = [e for e in self.events if e["event"] == name]
-            if len(found) >= count:
-                return found
-            time.sleep(0.01)
-        raise AssertionError(f"no {name}; came {[e['event'] for e in self.events]}")
+        def found() -> list[dict[str, object]]:
+            return [e for e in self.events if e["event"] == name]
+
+        wait_until(lambda: len(found()) >= count, lambda: f"no {name}; came {[e['event'] for e in self.events]}")
+        return found()
 
     def close(self) -> None:
         self.answer.extensions["network_stream"].get_extra_info("socket").shutdown(socket.SHUT_RDWR)

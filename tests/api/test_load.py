@@ -23,6 +23,8 @@ import httpx
 import numpy as np
 import pytest
 
+from tests.patience import wait_until
+
 PAGES, POLLS_PER_S, SECONDS = 50, 20, 20
 PATHS = (
     "/api/v1/press",
@@ -44,10 +46,7 @@ def plant(folder: Path) -> Iterator[str]:
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         address = next(line.split()[1] for line in running.stdout if line.startswith("Page")).rstrip("/")
-        deadline = time.monotonic() + 240
-        while newest_scan(folder) < 50 or not whole_since(folder, newest_scan(folder) - 20):
-            assert time.monotonic() < deadline, "nothing is recorded"
-            time.sleep(0.2)
+        wait_until(lambda: newest_scan(folder) >= 50 and whole_since(folder, newest_scan(folder) - 20))
         yield address
     finally:
         running.terminate()

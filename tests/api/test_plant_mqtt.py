@@ -28,19 +28,13 @@ from api.plant.mqtt import Publisher
 from daq.process.config import MqttSettings
 from daq.records import Channel, PressEvent, PressEventKind, PressState, Quality, Scan
 from daq.store import NewRun, PressKey, Store, StoredEstimate, open_store
+from tests.patience import wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="no mosquitto is installed: apt-get install mosquitto")
 STARTED = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 CHANNELS = (Channel("platen_top"), Channel("top_1"))
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
-
-
-def wait_until(condition: Callable[[], Any], longest_s: float = 240.0) -> None:
-    deadline = time.monotonic() + longest_s
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.01)
 
 
 def a_free_port() -> int:

@@ -52,6 +52,26 @@ def test_runs_come_in_the_order_asked_for_and_those_without_the_number_last(foun
     assert found(sort="core_at_opening_C")[-1] == "03"  # still pressed
 
 
+def test_a_coefficient_is_a_number_of_runs_that_determine_it(found, store, client):
+    warned = {"code": "fit-not-described-check", "arguments": {}}
+    kept = {run: store.fit(run) for run in ("lab-2026-03-04-01", "lab-2026-03-04-02")}
+    for run, value, warnings in (("01", 700.0, []), ("02", 400.0, [warned])):
+        coefficients = {
+            "h_pp_c": {"value": value, "identifiable": True},
+            "h_ap": {"value": 20.0, "identifiable": False},
+        }
+        fit = {"run": f"lab-2026-03-04-{run}", "coefficients": coefficients, "rmse_K": 0.3}
+        store.put_fit(fit["run"], fit | {"warnings_said": warnings}, "")
+    assert found("h_pp_c>1", q="film") == found("h_pp_c<=700", "rmse_K<1", q="film") == ["01"]
+    assert found("h_ap>1", q="film") == []
+    assert found(sort="h_pp_c", q="film") == ["01", "02"]
+    (one,) = client.get("/api/v1/search", params={"q": "batch"}).json()["items"]
+    assert (one["numbers"]["h_pp_c"], "h_ap" in one["numbers"]) == (700.0, False)
+    for run, fit in kept.items():
+        if fit is not None:
+            store.put_fit(run, fit, "")
+
+
 def test_pages_follow_one_another(found, client):
     first = client.get("/api/v1/search", params={"limit": 1, "sort": "setting.pressure_N_cm2"}).json()
     second = client.get(

@@ -1,6 +1,7 @@
 """`kerntemp serve` as a process of its own: TLS, slow and greedy clients, tokens in the journal."""
 
 import json
+import logging
 import os
 import signal
 import socket
@@ -8,7 +9,6 @@ import ssl
 import subprocess
 import sys
 import threading
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,10 +19,11 @@ import uvicorn
 from api.cli import main
 from api.http.app import create_app
 from api.http.gate import MAX_BODY_BYTES, Gate
-from api.http.server import ConnectionWatchdog, Listening, make_server
+from api.http.server import ConnectionWatchdog, Listening, SparingLog, make_server
 from api.http.tokens import Attempts
 from daq.records import InputError
 from daq.store.store import open_store
+from tests.patience import wait_until
 
 PATIENT_S = 240.0
 """A busy machine answers late, and fails no test for it. [s]"""
@@ -50,7 +51,8 @@ def served(plant, *options):
     try:
         address = server.stdout.readline().split()[-1]
         if os.name != "nt":
-            server.send_signal(signal.SIGHUP)  # a closed terminal ends none of these
+            for one in (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2):  # a closed terminal ends none of these
+                server.send_signal(one)
         yield address
     finally:
         server.terminate()
@@ -184,10 +186,7 @@ def running(server, sockets=None):
     """A server in a thread until the block ends."""
     thread = threading.Thread(target=server.run, args=(sockets,), daemon=True)
     thread.start()
-    deadline = time.monotonic() + 240
-    while not server.started:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: server.started)
     try:
         yield server.servers[0].sockets[0].getsockname()[1]
     finally:
@@ -261,10 +260,37 @@ def test_a_client_that_takes_nothing_of_an_answer_is_cut_off(store, tokens):
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         greedy.connect(("127.0.0.1", port))
         greedy.sendall(f"GET {CHANGE}/samples HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode() * 300)
-        deadline = time.monotonic() + 240
-        answered = 0
-        while server.server_state.connections or not answered:
-            answered = server.server_state.total_requests
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        assert answered < 300
+        wait_until(lambda: server.server_state.total_requests and not server.server_state.connections)
+        assert server.server_state.total_requests < 300
+
+
+def test_hostile_requests_do_not_flood_the_log(plant):
+    def ask(place, request):
+        with socket.create_connection(place, PATIENT_S) as wire:
+            wire.sendall(request)
+            wire.recv(100)
+
+    with served(plant) as address:
+        place = httpx.URL(address).host, httpx.URL(address).port
+        for _ in range(20):
+            ask(place, b"\x16\x03\x01\x02\r\n\r\n")
+            ask(place, b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n")
+    lines = (plant / "serve.log").read_text().splitlines()
+    assert any("Invalid HTTP request" in line for line in lines)
+    assert len(lines) < 20, lines
+
+
+def test_what_was_left_out_of_the_log_is_counted_and_faults_of_our_own_are_not_left_out():
+    now = [0.0]
+    sparing = SparingLog(lambda: now[0])
+
+    def told(level, message):
+        record = logging.LogRecord("uvicorn.error", level, "h11_impl.py", 7, message, (), None)
+        return record.getMessage() if sparing.filter(record) else None
+
+    assert [told(logging.WARNING, "gone") for _ in range(4)] == ["gone", None, None, None]
+    assert [told(logging.ERROR, "fault") for _ in range(2)] == ["fault", "fault"]
+    now[0] = 60.0
+    assert [told(logging.WARNING, "gone") for _ in range(2)] == ["gone (+3)", None]
+    now[0] = 120.0
+    assert told(logging.WARNING, "gone") == "gone (+1)"

@@ -9,7 +9,7 @@ import pytest
 import daq.supervision
 from api.alarms import watch
 from api.alarms.watch import watching
-from api.alarms.ways import Webhook
+from api.alarms.ways import Webhook, ways_of
 from api.http import server as http_server
 from api.http.server import Listening, make_server
 from api.http.tokens import TokenFile
@@ -23,8 +23,8 @@ from daq.records import Channel
 from daq.store import Store, open_store
 from tests.api.test_alarms import HOT, free_port, hook
 from tests.api.test_plant_mqtt import Broker as Mosquitto
-from tests.api.test_plant_mqtt import wait_until
 from tests.api.test_server import running
+from tests.patience import wait_until
 
 
 @pytest.fixture
@@ -94,9 +94,9 @@ HANGS = [
 def test_alarms_not_looked_for_or_not_sent_are_an_alarm_and_starve_the_watchdog(
     stored, tmp_path, monkeypatch, beats, owner, name, thread
 ):
-    stored.watch_alarms([HOT], ["webhook"], datetime.now(UTC))
+    (way,) = ways_of(None, hook(tmp_path, free_port()), "store")
+    stored.watch_alarms([HOT], [way.name], datetime.now(UTC))
     listening = Listening(port=0)
-    way = Webhook(hook(tmp_path, free_port()))
     with standing(monkeypatch, owner, name) as (stands, free), watching(stored, [way]) as stalled:
         server = make_server(stored, TokenFile(tmp_path / "tokens.json"), listening, stalled=stalled)
         with running(server, [listening.bind()]):

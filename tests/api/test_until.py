@@ -24,10 +24,12 @@ def test_run_ends_with_the_row_of_a_moment():
     assert {len(v) for v in (*cut.columns.values(), *cut.texts.values())} == {26}
 
 
-def test_run_ends_before_the_first_row_that_is_as_hot():
+def test_run_ends_before_the_first_row_that_is_as_hot(capsys):
     (cut,) = shortened([_run()], PRESS, ["bottom_*=30"])
     assert cut.columns["bottom_1"][-1] == 29.5
-    assert len(shortened([_run()], PRESS, ["bottom_1=900"])[0].time_s) == len(TIMES)
+    assert capsys.readouterr().err == ""
+    assert len(shortened([_run("a"), _run("b")], PRESS, ["bottom_1=900"])[0].time_s) == len(TIMES)
+    assert "--until bottom_1=900 does not come in a, b: nothing is left out there" in capsys.readouterr().err
 
 
 def test_run_ends_at_an_event_of_the_press():

@@ -170,6 +170,20 @@ def comes(page: Page, asked: str, holds: str) -> Any:
     return page.evaluate(asked)
 
 
+ACROSS = """
+const {fillText: across, clearRect: anew} = CanvasRenderingContext2D.prototype;
+CanvasRenderingContext2D.prototype.fillText = function (words, ...at) {
+    if (this.textAlign === 'center' && this.textBaseline === 'top') this.canvas.across?.push(words);
+    return across.call(this, words, ...at);
+};
+CanvasRenderingContext2D.prototype.clearRect = function (...at) {
+    this.canvas.across = [];
+    return anew.call(this, ...at);
+};
+"""
+"""Keeps what stands below each chart as it was last drawn."""
+
+
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         return int(taken.getsockname()[1])

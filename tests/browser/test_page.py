@@ -7,14 +7,13 @@ from statistics import median
 
 from playwright.sync_api import Page, expect
 
+from tests.patience import wait_until
+
 
 def wait_for_fitted_run(page: Page) -> None:
     """Wait until the first pressing is recorded and fitted."""
     count = "fetch('api/v1/coefficients').then((answer) => answer.json()).then((list) => list.items.length)"
-    deadline = time.monotonic() + 240
-    while page.evaluate(count) == 0:
-        assert time.monotonic() < deadline, "no pressing was fitted"
-        time.sleep(0.2)
+    wait_until(lambda: page.evaluate(count) > 0, "no pressing was fitted")
 
 
 def test_a_live_pressing_is_followed_from_closing_to_its_stored_run(open_page):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -10,7 +11,7 @@ from playwright.sync_api import expect
 
 from api.http.tokens import TokenFile
 from daq.records import Run
-from tests.browser.conftest import CHANNELS, LAB
+from tests.browser.conftest import CHANNELS, LAB, comes
 
 
 @pytest.fixture
@@ -95,8 +96,8 @@ def test_a_limit_of_drift_tells_what_the_control_chart_tells_from_that_size_on(s
         limits.get_by_role("button", name="Save").click()
         expect(limits.get_by_label("Drift of at least")).to_have_value(percent)
         kept = "fetch('api/v1/alarms/thresholds').then((a) => a.json()).then((l) => l.items[0].thresholds)"
+        comes(page, kept, f"(it) => it.drift_percent === {percent}")
         expect(limits).to_contain_text("by foreman")
-        assert page.evaluate(kept)["drift_percent"] == float(percent)
         page.wait_for_timeout(2500 if not times else 0)
         expect(told).to_have_count(times)
     page.screenshot(path=tmp_path / "alarms.png", full_page=True)
@@ -125,5 +126,24 @@ def test_a_press_with_a_long_name_does_not_make_a_narrow_screen_scroll_sideways(
         page.locator("#press").select_option(name)
         expect(page.locator("main .card").first).to_be_visible()
         page.screenshot(path=tmp_path / f"{view}.png")
-        assert page.evaluate("document.documentElement.scrollWidth") <= 375, view
+        page.wait_for_function("document.documentElement.scrollWidth <= 375")
     page.close()
+
+
+def test_a_face_that_is_not_known_is_called_so_beside_the_next_panel(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=30, batch=10)
+    faces = {"platen_top_C": None, "platen_bottom_C": None, "top_C": None, "bottom_C": 170.2}
+
+    def answer(route):
+        told = route.fetch().json()
+        route.fulfill(json={**told, "items": [one | {"faces": faces} for one in told["items"]]})
+
+    page.route(re.compile(r"/api/v1/press(\?.*)?$"), answer)
+    page.add_init_script("localStorage.setItem('kerntemp-language', 'de')")
+    page.goto(server.url + "#/now")
+    card = page.get_by_test_id("next-panel")
+    expect(card).to_contain_text("Die Flächen jetzt: oben unbekannt, unten 170,2 °C")
+    faces["bottom_C"] = None
+    expect(card.get_by_text("Die Flächen jetzt")).to_be_hidden()

@@ -20,7 +20,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.store import StoredNight
 from daq.words import Message, say
 from daq.words.message import words
-from tests.browser.conftest import CHANNELS, PATIENT_MS, comes
+from tests.browser.conftest import ACROSS, CHANNELS, PATIENT_MS, comes
 from tests.curves import CURVES
 
 VIEWS = (
@@ -257,6 +257,78 @@ def test_a_model_version_is_rolled_back_by_hand(plant):
     expect(page.locator("tbody tr", has_text="in use").locator("td").first).to_have_text("1")
 
 
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ({"age_s": 0.5, "left_out_K": -71.2}, "71 K below its neighbours, not used"),
+        ({"age_s": 900.0}, "good"),
+        ({"age_s": 0.5}, "good"),
+    ],
+    ids=["left out", "old", "read"],
+)
+def test_a_channel_among_the_loggers_is_green_only_while_it_is_read_and_used(plant, told, says):
+    address, page, _ = plant
+
+    def answer(route):
+        channels = route.fetch().json()["items"]
+        route.fulfill(json={"items": [one | {"age_s": 0.5, "quality": "good"} | told for one in channels]})
+
+    page.route("**/api/v1/channels*", answer)
+    page.goto(address + "#/loggers")
+    tones = {"71": "bad", "good": "idle" if told["age_s"] > 1.0 else "good"}
+    pills = page.get_by_test_id("loggers").locator("tbody .pill")
+    expect(pills.first).to_have_text(says)
+    expect(pills.first).to_have_class(f"pill wraps {tones[says.split()[0]]}")
+
+
+@pytest.mark.parametrize(
+    ("language", "headline", "longest"),
+    [
+        (
+            "en-GB",
+            "Steam that carries heat or heat capacity that changes with temperature",
+            "The longest bar, evaporating moisture, is not the cause above",
+        ),
+        (
+            "de-DE",
+            "Dampf, der Wärme trägt, oder Wärmekapazität, die von der Temperatur abhängt",
+            "Der längste Balken, verdampfende Feuchte, ist nicht die Ursache oben",
+        ),
+    ],
+)
+def test_causes_that_are_not_told_apart_are_one_line_and_a_longer_bar_of_another_is_explained(
+    plant, served, browser, language, headline, longest, tmp_path
+):
+    names = ["vapour_convection", "heat_capacity_temperature"]
+    effect = EFFECT | {"name": names[0], "set": names, "parameters": {}}
+    weaker = {"name": names[0], "score": 12.0, "p_value": 0.0005, "heldout_gain_K": 0.4}
+    candidates = [weaker, *DIAGNOSIS["candidates"]]
+    found = DIAGNOSIS | {"verdict": "ambiguous", "effects": [effect], "candidates": candidates}
+    page = browser.new_page(locale=language)
+    page.goto(plant[0] + "#/diagnosis")
+    expect(page.locator("p.verdict")).not_to_be_empty()
+    expect(page.locator(".bars + p")).to_have_count(0)  # the longest bar is the cause named
+    served[1].store.put_diagnosis("lab", found)
+    page.reload()
+    expect(page.locator("p.verdict")).to_have_text(headline)
+    expect(page.locator(".bars + p")).to_contain_text(longest)
+    page.screenshot(path=tmp_path / "diagnosis.png", full_page=True)
+    page.close()
+
+
+def test_the_buttons_of_a_verdict_fill_their_card_beside_a_taller_one(plant, browser):
+    address, _, _ = plant
+    page = browser.new_page(viewport={"width": 1920, "height": 1080}, locale="de-DE")
+    page.goto(address + "#/now")
+    expect(page.locator(".verdict-button")).to_have_count(4)
+    page.wait_for_function("""() => {
+        const card = document.querySelector('[data-testid=verdict]'), end = card.getBoundingClientRect().bottom;
+        const free = end - document.querySelector('.verdicts').getBoundingClientRect().bottom;
+        return free < 60 && card.getBoundingClientRect().height > 150;
+    }""")
+    page.close()
+
+
 def test_the_diagnosis_is_shown_in_german(plant, browser):
     address, _, _ = plant
     context = browser.new_context(locale="de-DE")
@@ -361,9 +433,8 @@ def test_a_diagnosis_shows_measured_plain_extended_and_residual_curves(plant, br
     for head in heads:
         expect(card).to_contain_text(head)
     expect(card.locator(".chart canvas")).to_have_count(4)  # two places, residuals below each
-    drawn = page.evaluate("""[...document.querySelectorAll("[data-testid=curves] canvas")].map((canvas) =>
+    page.wait_for_function("""() => [...document.querySelectorAll("[data-testid=curves] canvas")].every((canvas) =>
         canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.some((v) => v > 0))""")
-    assert drawn == [True] * 4
     page.screenshot(path=tmp_path / "diagnosis.png", full_page=True)
     context.close()
 
@@ -467,7 +538,7 @@ def test_the_nights_of_all_presses_stand_in_one_table_that_names_each_press(serv
     expect(rows).to_have_count(3)
     page.get_by_test_id("nights-of").select_option(label="lab")
     expect(rows).to_have_count(2)
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
     page.close()
 
 
@@ -489,7 +560,8 @@ def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served
     )
     lab = tiles.filter(has_text="lab")
     expect(lab.locator(".core")).to_have_text("50,0°C")
-    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_contain_text("noch keine Messung")
+    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_have_text("keine Messwerte")
+    expect(tiles.filter(has_text="press-30").locator(".answer")).to_contain_text("noch keine Messung")
     page.screenshot(path=tmp_path / "presses.png")
     tiles.filter(has_text="press-30").click()
     expect(page.locator("#press")).to_have_value("press-30")
@@ -807,9 +879,65 @@ def test_runs_are_found_by_what_is_typed_sorted_by_a_column_and_kept_in_the_addr
     expect(rows.first).to_contain_text("campaign-1")
     page.get_by_role("link", name="One number over another").click()
     scatter = page.get_by_test_id("scatter")
-    expect(scatter).to_contain_text("2 runs")
+    expect(scatter).to_contain_text("of 2 runs")
+    expect(scatter).to_contain_text("h_pp_c: plate – panel, closed [W/m²K]")
     page.locator("label", has_text=re.compile("^up")).get_by_role("combobox").select_option("panel.thickness_mm")
     expect(page).to_have_url(re.compile(r"\?sort=-panel\.thickness_mm&x=press_time_s&y=panel\.thickness_mm$"))
+
+
+@pytest.mark.parametrize(
+    ("language", "alone", "says"),
+    [
+        ("en", "all sensors: plain model", "Not looked for"),
+        ("de", "alle Fühler: einfaches Modell", "Nicht gesucht"),
+    ],
+)
+def test_a_diagnosis_without_verdict_promises_no_second_number_and_does_not_say_that_all_is_noise(
+    plant, served, language, alone, says, tmp_path
+):
+    address, page, _ = plant
+    lost = {**DIAGNOSIS, "verdict": "not_described", "effects": [], "where": [], "extended": DIAGNOSIS["base"]}
+    served[1].store.put_diagnosis("lab", lost)
+    page.add_init_script(f"localStorage.setItem('kerntemp-language', '{language}')")
+    page.goto(address + "#/diagnosis")
+    expect(page.get_by_test_id("diagnosis")).to_contain_text(alone)
+    expect(page.locator("main")).to_contain_text(says)
+    page.screenshot(path=tmp_path / "diagnosis.png", full_page=True)
+    assert "→" not in page.get_by_test_id("diagnosis").inner_text()
+
+
+def test_no_row_of_the_metadata_is_headed_by_the_key_of_the_runs_own_name(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs/campaign-1")
+    card = page.get_by_test_id("metadata")
+    expect(card).to_contain_text("Thickness [mm]")
+    assert "run" not in card.locator("tbody td:first-child").all_inner_texts()
+
+
+@pytest.mark.parametrize(
+    ("language", "says"),
+    [
+        ("en", "Shows 1 of 2 runs; one has no value for one of the two numbers."),
+        ("de", "Zeigt 1 von 2 Pressungen; bei einer fehlt eine der beiden Zahlen."),
+    ],
+)
+def test_a_scatter_says_how_many_runs_it_shows_and_how_many_lack_a_number(plant, language, says, tmp_path):
+    address, page, _ = plant
+    page.add_init_script(f"localStorage.setItem('kerntemp-language', '{language}')")
+    page.goto(address + "#/runs/scatter?x=rmse_K&y=panel.thickness_mm")
+    expect(page.get_by_test_id("scatter")).to_contain_text(says)
+    page.screenshot(path=tmp_path / "scatter.png")
+    page.goto(address + "#/runs/compare/campaign-1/lab-0000000")
+    expect(page.get_by_test_id("scatter").get_by_role("status")).to_be_visible()
+
+
+def test_a_time_of_an_hour_and_more_is_put_in_hours_as_the_server_puts_it(plant):
+    address, page, _ = plant
+    page.goto(address)
+    expect(page.locator("#link")).to_have_text("live")
+    told = page.evaluate("""import('./static/dom.js').then((dom) =>
+        [9.94, 125, 3679, 5400, 100000].map((s) => dom.duration(s).replaceAll('\u00a0', ' ')))""")
+    assert told == ["9.9 s", "2 min 5 s", "1 h 1 min", "1 h 30 min", "1 d 3 h"]
 
 
 def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(plant):
@@ -838,20 +966,17 @@ def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(p
     page.wait_for_function("document.documentElement.scrollWidth <= 375")
 
 
-def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
+def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant, served):
     address, page, _ = plant
     fit = page.locator("[data-testid=fit]")
     page.goto(address + "#/runs/campaign-1")
     expect(fit.locator(".pill").first).to_have_text("converged")
     expect(fit).to_contain_text("560 … 640")
-    warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K"))
-
-    def answer(route):
-        told = route.fetch().json()
-        said = {"warnings": [str(warned)], "warnings_said": [warned.to_json()]}
-        route.fulfill(json={**told, **said})
-
-    page.route("**/runs/campaign-1/fit", answer)
+    warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K")).to_json()
+    coefficient = {"value": 600.0, "sd": 20.0, "ci95": [560.0, 640.0], "identifiable": True}
+    found = {"run": "campaign-1", "converged": True, "coefficients": {"h_pp_c": coefficient}, "warnings": []}
+    rmse = {"rmse_K": 9.0, "initial_rmse_K": 20.0, "warnings_said": [warned]}
+    served[1].store.put_fit("campaign-1", found | rmse, "")
     page.reload()
     expect(fit.locator(".pill.bad").first).to_have_text("not described by the model")
     expect(fit).not_to_contain_text("…")
@@ -872,6 +997,72 @@ def test_a_run_the_model_does_not_describe_is_marked_in_the_list(served):
         page.goto(server.url + "#/runs")
         expect(page.locator("tr", has_text=bad).locator(".pill.bad")).to_have_text("not described by the model")
         expect(page.locator("tr", has_text=good).locator(".pill.bad")).to_have_count(0)
+        expect(page.locator("tr", has_text=good).get_by_text("0.30 K")).to_be_visible()
+        page.get_by_role("button", name="RMSE").click()
+        expect(page.locator("tbody tr").first).to_contain_text(bad)
+        expect(page.locator("tr", has_text=bad).get_by_text("14.00 K")).to_be_visible()
+
+
+@pytest.mark.parametrize("width", [772, 1366])
+def test_no_column_of_the_list_of_runs_is_cut_off(plant, served, browser, width, tmp_path):
+    address, _, _ = plant
+    warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K")).to_json()
+    fit = {"run": "campaign-1", "coefficients": {}, "rmse_K": 14.0, "warnings_said": [warned]}
+    served[1].store.put_fit("campaign-1", fit, "")
+    page = browser.new_page(viewport={"width": width, "height": 900}, locale="de-DE")
+    page.goto(address + "#/runs")
+    expect(page.locator("tbody .pill.bad")).to_have_text("vom Modell nicht beschrieben")
+    page.wait_for_function(  # a table too wide for its place becomes cards once its size is known
+        "(([node, ...others]) => node && !others.length && node.scrollWidth === node.clientWidth)"
+        "(document.querySelectorAll('.scroll'))"
+    )
+    page.screenshot(path=tmp_path / f"runs-{width}.png")
+    page.close()
+
+
+def test_a_tip_of_a_run_tells_each_face_once_and_a_double_click_shows_all_again(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs/campaign-1")
+    chart = page.locator(".chart").first
+    tip_says(chart, "Panel, top.*Panel, bottom")
+    expect(chart.locator(".chart-tip tr")).to_have_count(4)  # the time, platens, two faces
+    chart.focus()
+    page.keyboard.press("+")
+    expect(chart.locator(".follow")).to_be_visible()
+    chart.locator(".u-over").dblclick(position={"x": 300, "y": 60})
+    expect(chart.locator(".follow")).to_be_hidden()
+
+
+def test_no_time_in_the_list_of_runs_reaches_into_the_number_beside_it(plant, browser):
+    address, _, _ = plant
+    page = browser.new_page(viewport={"width": 772, "height": 900}, locale="en-GB")
+    page.goto(address + "#/runs")
+    expect(page.locator("table.stacked thead")).to_have_attribute("data-label", "Sort by")
+    page.wait_for_function("""() => [...document.querySelectorAll('tbody td .when .num')].every(
+        (e) => e.getBoundingClientRect().right <= e.closest('td').getBoundingClientRect().right + 1)""")
+    page.close()
+
+
+def test_a_coefficient_that_the_newest_fit_does_not_know_says_whose_value_stands_in_its_card(plant, served):
+    address, page, _ = plant
+    unknown = {"value": 50.8, "sd": 30.0, "ci95": [1.0, 110.0], "identifiable": False}
+    fit = {"run": "lab-0000000", "converged": True, "coefficients": {"h_pp_c": unknown}, "warnings": []}
+    served[1].store.put_fit("lab-0000000", fit | {"rmse_K": 0.3, "initial_rmse_K": 2.0}, "")
+    page.goto(address + "#/coefficients")
+    card = page.locator("section", has=page.get_by_role("heading", name="h_pp_c"))
+    expect(card).to_contain_text("600 W/m²K · last identifiable, campaign-1")
+    expect(page.get_by_role("row", name="h_pp_c")).to_contain_text("50.8")
+
+
+def test_a_number_below_zero_has_a_minus_wherever_the_page_writes_it(plant):
+    address, page, _ = plant
+    page.goto(address)
+    written = page.evaluate("""async () => {
+        const [dom, words] = await Promise.all([import('./static/dom.js'), import('./static/words.js')]);
+        const told = [words.text('page-sentence', { a: -3 }), words.text('page-x', { r: 'lab-07' })];
+        return [dom.number(-2.5, 1), dom.figure(-0.12), dom.plain(-12300), ...told];
+    }""")
+    assert written == ["−2.5", "−0.12", "−12300", "page-sentence: a = −3", "page-x: r = lab-07"]
 
 
 def test_a_loose_sensor_has_its_own_curve_and_says_so(plant):
@@ -888,6 +1079,37 @@ def test_a_loose_sensor_has_its_own_curve_and_says_so(plant):
     card = page.locator("section", has=heading)
     expect(card.locator(".key")).to_contain_text("top_2: not used, does not follow its face")
     tip_says(card.locator(".chart").first, "top_2: not used, does not follow its face")
+
+
+def test_channels_that_missed_the_same_share_a_line(plant):
+    address, page, _ = plant
+    spans = [
+        {"column": column, "quality": "late", "rows": rows, "from_s": 8.7, "to_s": 83.3}
+        for column, rows in (("top_1", 7), ("top_2", 7), ("bottom_1", 5))
+    ]
+
+    def answer(route):
+        route.fulfill(json={**route.fetch().json(), "quality": spans})
+
+    page.route("**/runs/campaign-1/samples*", answer)
+    page.goto(address + "#/runs/campaign-1")
+    lines = page.get_by_test_id("left-out").locator("li")
+    expect(lines).to_have_text(
+        ["top_1, top_2: late, 7 scans, 8.7 – 83.3 s", "bottom_1: late, 5 scans, 8.7 – 83.3 s"]
+    )
+
+
+def test_no_number_stands_twice_below_a_chart_of_one_run(plant, served, browser):
+    served[1].store.annotate_run("campaign-1", {"panel.moisture_percent": 0.4}, "test")
+    page = browser.new_page(viewport={"width": 1280, "height": 900}, locale="en-GB", bypass_csp=True)
+    page.add_init_script(ACROSS)
+    page.goto(plant[0] + "#/runs/scatter?q=campaign-1&x=panel.moisture_percent&y=panel.thickness_mm")
+    canvas = page.get_by_test_id("scatter").locator("canvas")
+    expect(canvas).to_be_visible()
+    page.wait_for_function("document.querySelector('[data-testid=scatter] canvas').across?.length > 3")
+    written = [words for words in canvas.evaluate("canvas => canvas.across") if words[0].isdigit()]
+    page.close()
+    assert len(written) == len(set(written)) > 2, written
 
 
 TICKS = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from dataclasses import replace
@@ -11,7 +12,7 @@ from playwright.sync_api import expect
 
 from daq.records import PressEvent, PressEventKind
 from daq.store.records import StoredEstimate
-from tests.browser.conftest import CHANNELS, comes
+from tests.browser.conftest import ACROSS, CHANNELS, comes
 
 AHEAD = {
     "open_in_s": 11.0,
@@ -109,6 +110,39 @@ def test_a_channel_that_is_not_used_says_so_on_its_tile_and_is_not_called_good(p
     expect(page.locator(".channel", has_text="top_4")).to_contain_text("good")
 
 
+def test_the_wall_says_which_pressing_it_shows_once_that_is_over(served, tmp_path):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=60, batch=10)
+    page.set_viewport_size({"width": 375, "height": 740})
+    page.goto(server.url + "#/wall")
+    expect(page.locator(".wall-head > .num")).to_have_text("Last pressing lab-0000000")
+    expect(page.locator(".chart canvas")).to_be_visible()
+    page.screenshot(path=tmp_path / "wall.png")
+    page.wait_for_function("document.documentElement.scrollWidth <= 375")
+
+
+@pytest.mark.parametrize("view", ["#/now", "#/wall"])
+def test_the_time_from_closing_goes_on_while_the_core_does(pressing, view):
+    server, page = pressing
+    asked = []
+
+    def answer(route):  # the first poll alone: all else comes by the stream
+        asked.append(1)
+        route.fallback() if len(asked) < 4 else route.abort()
+
+    page.route("**/api/v1/press?*", answer)
+    page.route("**/api/v1/press", answer)
+    page.goto(server.url + view)
+    expect(page.get_by_test_id("answer")).to_have_text("open in 11 s (8 to 15)")
+    since = page.locator(".facts dd" if view == "#/now" else ".wall-head > .num").first
+    expect(since).not_to_have_text("")
+    while len(asked) < 6:
+        page.wait_for_timeout(50)
+    before = since.inner_text()
+    expect(since).not_to_have_text(before)
+
+
 @pytest.mark.parametrize("view", ["#/now", "#/wall"])
 def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     server, page = pressing
@@ -117,6 +151,7 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     expect(answer).to_have_text("open in 11 s (8 to 15)")
     server.stop_for_a_while()
     expect(answer).to_contain_text("not known, because no reading for")
+    expect(page.locator(".light.bad")).to_have_text(["no readings"] if view == "#/wall" else [])  # said once
     green = """() => [...document.querySelectorAll('body *')].filter((e) => {
         const good = getComputedStyle(document.documentElement).getPropertyValue('--good').trim();
         const probe = Object.assign(document.createElement('i'), {style: `color:${good}`});
@@ -181,6 +216,79 @@ def test_press_and_core_are_shown_in_one_state(pressing, served):
     expect(page.get_by_test_id("core")).to_have_text("–°C")
 
 
+@pytest.mark.parametrize("width", [375, 772, 1366, 1920])
+def test_no_number_beside_the_core_leaves_its_card(pressing, browser, monkeypatch, tmp_path, width):
+    server, _ = pressing
+    for key, value in (("band_from", {"suspected": 0.5, "start": 0.39}), ("energy_kJ_m2", 414.0)):
+        monkeypatch.setitem(AHEAD, key, value)
+    page = browser.new_page(viewport={"width": width, "height": 900}, locale="de-DE")  # the longest words
+    page.goto(server.url + "#/now")
+    expect(page.locator(".facts")).to_contain_text("der Anfangs- und der Heizplattentemperatur")
+    page.screenshot(path=tmp_path / "now.png", full_page=True)
+    page.wait_for_function("""() => {
+        const card = document.querySelector('.hero'), inner = card.getBoundingClientRect();
+        const end = inner.right - parseFloat(getComputedStyle(card).paddingRight);
+        return [...card.querySelectorAll('dd, svg')].every((e) => e.getBoundingClientRect().right <= end + 1);
+    }""")
+    page.close()
+
+
+def test_what_stands_beside_the_core_is_of_the_last_estimate_too(pressing, served, monkeypatch):
+    server, page = pressing
+    feed, store = served[1], served[1].store
+    monkeypatch.setitem(AHEAD, "energy_kJ_m2", 215.0)
+    page.goto(server.url + "#/now")
+    expect(page.locator(".facts")).to_contain_text("215")
+    page.route("**/api/v1/press*", lambda route: route.abort())  # so that the stream alone tells
+    page.wait_for_timeout(300)
+    told = store.append_estimates
+    store.append_estimates = lambda *_: None
+    page.wait_for_timeout(1000)
+    for energy in (216.0, 217.0):  # two within the time in which the numbers are written once
+        monkeypatch.setitem(AHEAD, "energy_kJ_m2", energy)
+        now = store.open_run("lab")
+        scan = feed.number - 1
+        told("lab", [StoredEstimate(scan, 1000.0 + 0.1 * scan, "closed", 50.0, 1.0, 48.0, 52.0, True)])
+        page.wait_for_timeout(200)
+    assert now is not None
+    expect(page.locator(".facts")).to_contain_text("217", timeout=2_000)
+
+
+def test_a_core_that_ends_before_the_readings_says_why(pressing, served):
+    server, page = pressing
+    store = served[1].store
+    page.goto(server.url + "#/now")
+    expect(page.locator(".chart canvas").first).to_be_visible()
+    expect(page.get_by_test_id("behind")).to_be_hidden()
+    told = store.append_estimates
+    store.append_estimates = lambda *_: None
+    expect(page.get_by_test_id("behind")).to_have_text(
+        re.compile(r"The live sensor has not worked out the last \d+\Ws of the readings: the core's curve ends")
+    )
+    store.append_estimates = told
+    expect(page.get_by_test_id("behind")).to_be_hidden()
+
+
+def test_the_time_axis_of_a_pressing_that_has_just_closed_has_whole_seconds(pressing, browser):
+    server, _ = pressing
+    page = browser.new_page(viewport={"width": 1920, "height": 1080}, locale="en-GB", bypass_csp=True)
+    page.add_init_script(ACROSS)
+    page.goto(server.url + "#/wall")
+    written = "document.querySelector('.wall-chart canvas')?.across?.filter((words) => /\\d/.test(words))"
+    page.wait_for_function(f"{written}?.length > 1")
+    assert [words for words in page.evaluate(written) if "." in words] == []
+    page.close()
+
+
+def test_the_names_of_the_phases_stand_clear_of_the_target(served):
+    server, _, page = served
+    page.goto(server.url)
+    asked = "it.CoreChart.prototype.range.call({ target: 40 }, 20, 36)"
+    low, high = page.evaluate(f"import('./static/views/answer.js').then((it) => {asked})")
+    # The lowest chart, of 240 px, is 176 px without its axis; a name reaches 17 px down, a line is 2 px.
+    assert (high - 40) / (high - low) > 19 / 176
+
+
 def test_every_tab_can_be_read_at_any_width(served, browser):
     server, feed, _ = served
     feed.store.register_press("north press", CHANNELS)
@@ -217,6 +325,29 @@ def test_the_wall_fills_the_screen_and_does_not_scroll(pressing, browser, width,
     letters = page.get_by_test_id("core").evaluate("e => parseFloat(getComputedStyle(e).fontSize)")
     assert letters >= 0.15 * min(width, height)
     page.close()
+
+
+WRITTEN = """
+const {fillText: written} = CanvasRenderingContext2D.prototype;
+window.letters = [];
+CanvasRenderingContext2D.prototype.fillText = function (words, ...at) {
+    window.letters.push(parseFloat(this.font.match(/([\\d.]+)px/)[1]) / devicePixelRatio);
+    return written.call(this, words, ...at);
+};
+"""
+
+
+@pytest.mark.parametrize(("width", "height", "least"), [(1920, 1080, 22.0), (768, 1024, 16.0), (375, 812, 11.0)])
+def test_the_letters_of_the_walls_chart_grow_with_the_screen(pressing, browser, tmp_path, width, height, least):
+    server, _ = pressing
+    page = browser.new_page(viewport={"width": width, "height": height}, locale="de-DE", bypass_csp=True)
+    page.add_init_script(WRITTEN)
+    page.goto(server.url + "#/wall")
+    page.wait_for_function("window.letters.length > 20")
+    page.screenshot(path=tmp_path / "wall.png")
+    smallest = page.evaluate("Math.min(...window.letters)")
+    page.close()
+    assert smallest >= least
 
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1280, 860), (1024, 768), (768, 1024), (375, 812)])

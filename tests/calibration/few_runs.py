@@ -14,10 +14,9 @@ Tried on 2026-11-25 and not in force as a whole, since of five pairs of twelve r
 two only (one of the others, 55103, falls by `decision.EXPLAINED_FURTHER`), and the second press was not measured
 with it. Rule 2 is in force, and of 3 and 4 what `decision.Proof.holds` asks:
 
-1. Each panel's conductivity and heat capacity are unknowns of its run in every fit (`_panel_shares` in
-   `_nuisances`), so that what panels differ by no longer fills other candidates' scores. Where the plain model is
-   wrong has then to be told from a second one, settled with panels as given: a panel's own constants bend, and of
-   moist pine a wrong stretch was told first.
+1. Each panel's conductivity and heat capacity are unknowns of its run in every fit, so that what panels differ by
+   no longer fills other candidates' scores. Where the plain model is wrong has then to be told from a second one,
+   settled with panels as given: a panel's own constants bend, and of moist pine a wrong stretch was told first.
 2. Flips of scores and of signed roots of what runs save left out, together and at any number of runs, each x as
    x / root(1 + |x| / 3), their sums not scaled to their own size: scores clipped at three tie, and the least
    p-value of six runs is then twice 1/32.
@@ -35,7 +34,8 @@ Instead of rule 1, tried with 2 to 4 on the same five pairs the same day: k and 
 integrated out. What a standard deviation of each moves signals by, at the plain model's fit, joins the covariance
 of the run's noise as two more columns (`Whitened`), in every fit alike, so that sums of squares stay comparable.
 Both causes are then named or in a set in three of the five, 55103 with them; 55107 and 55108 lack the second as
-before. Empty campaigns, faults outside the catalogue and few runs were not measured with it: not in force.
+before. That is in force since 2026-11-26 (`search.with_own_panel`), with limits: a constant lies five standard
+deviations off at most, and the less the further the model is off.
 """
 
 from __future__ import annotations

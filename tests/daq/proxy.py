@@ -41,6 +41,9 @@ _SLICE_S = 0.016
 _COPY_S = 0.01
 """What comes twice comes no later than this after its time: half the silence that a driver without channels in its
 replies keeps between reply and query (profile sr630), which hears a copy by nothing else."""
+_LOST_S = 5.0
+"""A request this much older than its reply may be never gets one: two that a busy machine let run together are no
+request to the device, which answers a sound one within milliseconds. [s]"""
 
 
 class Fault(StrEnum):
@@ -244,6 +247,8 @@ class FaultProxy:
 
     def _pass_on(self, reply: bytes, send: Send) -> None:
         """Send a reply, spoiled, to the driver that waits for it."""
+        while self._asked and time.monotonic() > self._asked[0][1] + _LOST_S:
+            self._asked.popleft()  # else every later reply would be taken for that of the request before it
         if not self._asked:  # left over from a connection before
             return
         request, due_s = self._asked.popleft()

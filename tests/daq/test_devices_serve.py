@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 import tomllib
 
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from daq.drivers import LoggerSettings, open_logger
 from daq.records import InputError, Quality
 from daq.simulated.devices_serve import main
+from tests.patience import wait_until
 
 
 @pytest.mark.parametrize(
@@ -26,12 +26,9 @@ def test_the_printed_table_reads_the_device(arguments, capsys):
     server = threading.Thread(target=main, args=(arguments, stop))
     server.start()
     try:
-        printed, deadline = "", time.monotonic() + 240
-        while "channels" not in printed:
-            assert time.monotonic() < deadline
-            stop.wait(0.05)
-            printed += capsys.readouterr().out
-        (table,) = tomllib.loads(printed)["press"]["logger"]
+        printed = []
+        wait_until(lambda: printed.append(capsys.readouterr().out) or "channels" in "".join(printed))
+        (table,) = tomllib.loads("".join(printed))["press"]["logger"]
         logger = open_logger(LoggerSettings(**table))
         reading = logger.read()
         logger.close()

@@ -30,6 +30,9 @@ TIMEOUT_S, DRAIN_S = 0.08, 0.15
 LATE_S = (1.05 * TIMEOUT_S, TIMEOUT_S + 0.5 * DRAIN_S)
 CLOCK_SLACK_S = 0.05
 SOUND_TIMEOUT_S = 1.0
+UNSPOILED_TIMEOUT_S = 30.0
+"""Of a wire on which nothing is spoiled: longer than a busy machine keeps a device from answering, so that what is
+lost there was lost by the reader."""
 KNOWN_CAUSES = {
     "silent",
     "busy",
@@ -129,7 +132,10 @@ LINES = {
         (Wired("sr630"),), proxy.bare_text_spoiler(), serial=True, timeout_s=0.2, drain_s=0.2, share=0.04
     ),
     "Modbus TCP, sound": Line(
-        (Wired("exemys-rme1-tc", spoiled=False),), proxy.tcp_spoiler(), serial=False, timeout_s=1.0
+        (Wired("exemys-rme1-tc", spoiled=False),),
+        proxy.tcp_spoiler(),
+        serial=False,
+        timeout_s=UNSPOILED_TIMEOUT_S,
     ),
 }
 FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
@@ -188,7 +194,8 @@ def settings_of(line, wired, wire, **changes):
     names = tuple(f"c{wired.first + k}" for k in range(kind_of(wired.profile).inputs))
     table = wiring(wired.profile, wire, wired.profile, names, address=wired.address)
     override = table.get("override", {}) | {"timing": {"setup_s": 0.001, "response_s": 0.5, "refresh_s": 1.0}}
-    timeout_s = line.timeout_s if wired.spoiled else SOUND_TIMEOUT_S
+    beside_spoiled = any(w.spoiled for w in line.loggers)
+    timeout_s = SOUND_TIMEOUT_S if beside_spoiled and not wired.spoiled else line.timeout_s
     table |= {"timeout_s": timeout_s, "drain_s": line.drain_s, "override": override}
     if line.transport:
         table["transport"] = line.transport
@@ -307,6 +314,24 @@ def test_the_proxy_drops_what_a_busy_machine_kept_it_from_sending_in_time():
         driver.sendall(b"2")
         answers = driver.recv(9)
     assert answers == b"<2>"
+
+
+def test_a_request_that_no_device_answers_does_not_take_the_replies_of_those_behind_it(monkeypatch):
+    """Two that run together are none to a device: each later reply was judged by an older request's patience."""
+    monkeypatch.setattr(proxy, "_LOST_S", 0.1)
+    got, came = [], threading.Event()
+
+    def send(part):
+        got.append(part)
+        came.set()
+
+    options = {"seed": 1, "late_s": (0.0, 0.0)}
+    upstream = Server({"host": "127.0.0.1", "tcp_port": 1})
+    with FaultProxy(upstream, proxy.bare_text_spoiler(), lambda *_: Fault.NONE, **options) as wire:
+        wire._asked.extend([(b"1?", time.monotonic() - 0.2), (b"2?", math.inf)])
+        wire._pass_on(b"2\r\n", send)
+        assert came.wait(240.0)
+    assert got == [b"2\r\n"]
 
 
 @pytest.mark.parametrize(("busy_s", "sent"), [(0.0, [b"1\r\n", b"1\r\n"]), (0.1, [b"1\r\n"])])

@@ -16,7 +16,7 @@ from daq.simulated.devices import simulated, station, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.devices_line import serve_serial
 from tests.daq.proxy import Fault, FaultProxy, rtu_spoiler, tcp_spoiler
-from tests.patience import LONGEST_S, PATIENT, briefly, found_again, until_good
+from tests.patience import LONGEST_S, PATIENT, briefly, found_again, until_good, wait_until
 
 EIGHT = tuple(f"c{k}" for k in range(8))
 QUICK = {"timeout_s": 0.2, "drain_s": 0.1}
@@ -136,13 +136,9 @@ def test_a_frozen_module_is_stale_until_it_moves_again():
         logger = open_logger(LoggerSettings(**table))
         until_good(logger)
         switches.frozen = True
-        deadline = time.monotonic() + LONGEST_S
-        while logger.read().qualities[0] is not Quality.STALE:
-            assert time.monotonic() < deadline
+        wait_until(lambda: logger.read().qualities[0] is Quality.STALE)
         switches.frozen = False
-        deadline = time.monotonic() + LONGEST_S
-        while logger.read().qualities[0] is not Quality.GOOD:
-            assert time.monotonic() < deadline
+        wait_until(lambda: logger.read().qualities[0] is Quality.GOOD)
         logger.close()
 
 

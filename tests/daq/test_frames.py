@@ -18,6 +18,7 @@ import daq
 from daq.face import EVENT
 from daq.files.qualities import quality_text
 from daq.files.run_file import read_run
+from daq.press.detector import PressEventDetector
 from daq.press.press_file import read_press
 from daq.records import Quality, Run
 
@@ -276,6 +277,19 @@ def test_every_pressing_of_a_days_table_is_found_and_none_more():
     assert (
         closed["utc"] - pd.Timestamp("2026-03-04 08:00", tz="UTC")
     ).dt.total_seconds().tolist() == pytest.approx(closed.index.tolist(), abs=1e-6)
+
+
+def test_what_else_a_table_holds_is_not_looked_at_and_changes_no_event():
+    run = read_run(SAMPLES[4])
+    press = read_press(LAB)
+    flows = {f"flow_{i}": np.full(len(run.time_s), np.nan if i else 7.0) for i in range(3)}
+    wide = Run(
+        run.name, run.header, run.time_s, {**flows, **run.columns, "closed": np.full(len(run.time_s), np.nan)}
+    )
+    looked = PressEventDetector(press).looks_at(tuple(wide.columns))
+    assert {"platen_top", "platen_bottom", "top_1", "bottom_1", "closed"} <= set(looked)
+    assert not set(flows) & set(looked)
+    pd.testing.assert_frame_equal(daq.find_events(wide, press), daq.find_events(run, press))
 
 
 def test_a_table_without_any_pressing_has_no_events():

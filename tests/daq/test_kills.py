@@ -15,8 +15,9 @@ import pytest
 from sqlalchemy import text
 
 from daq.store import RunStatus, open_store
-from tests.daq.test_recorder import all_scans, plant, wait_until
+from tests.daq.test_recorder import all_scans, plant
 from tests.editions import edition
+from tests.patience import wait_until
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 ROLES = ("record", "sense")

@@ -595,7 +595,7 @@ def test_a_run_that_goes_on_until_the_sensors_are_cold_knows_when_the_panel_left
 def test_insertion_of_a_run_that_never_closes_is_kept():
     run, truth = make_campaign(4, 1, plan=Plan(rate_hz=2.0, closed_column=False))[0]
     keep = run.time_s < truth.moments.closed_s - 1.0
-    short = Run(run.name, run.header, run.time_s[keep], {c: v[keep] for c, v in run.columns.items()})
+    short = run.at_rows(keep)
     found = find_moments(short, PRESS)
     assert math.isnan(found.closed_s)
     assert found.inserted_s == pytest.approx(truth.moments.inserted_s, abs=1.0)

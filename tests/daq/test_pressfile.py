@@ -66,6 +66,12 @@ def test_press_without_an_open_entry_has_one_state() -> None:
         ),
         (PLATE + "[core]\nat = 'b.top'", r"core\.at = 'b\.top'"),
         (PLATE + "[core]\nat = { layer = 'plate', depth_mm = 11.0 }", r"core\.at\.depth_mm = 11\.0: .*'plate'"),
+        (
+            PLATE + "[core]\nat = 4.0",
+            r"core\.at = 4\.0: must be a text in quotes; core\.at = 4\.0: must be a table",
+        ),
+        (PLATE + "[core]\nat = { layer = 'plate' }", r"core\.at\.depth_mm: is missing; add it"),
+        (PLATE + "[coefficients.h]\nguess = 1e12", r"coefficients\.h\.guess = 1000000000000\.0: must be less"),
         (PLATE.replace("45.0", "true"), r"layer\.0\.conductivity_W_mK = True: .*valid number"),
         (PLATE.replace("45.0", "'45'"), r"layer\.0\.conductivity_W_mK = '45': .*valid number"),
         (PANEL + "[press]\narea_m2 = '2'", r"press\.area_m2 = '2': .*valid number"),

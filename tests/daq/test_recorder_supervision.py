@@ -18,8 +18,9 @@ from daq.recording import acquisition, press_line, recorder, run_keeper
 from daq.store import journal, open_store, outbox, recording, session_placement, store, write_batch
 from daq.supervision import SupervisedThread, unexpected
 from daq.words import say
-from tests.daq.test_recorder import plant, wait_until
+from tests.daq.test_recorder import plant
 from tests.daq.test_recorder import recording as recording_by
+from tests.patience import wait_until
 
 MODULES = (
     acquisition,
@@ -272,15 +273,16 @@ def test_a_recorder_thins_what_was_recorded_long_ago(tmp_path, monkeypatch):
             wait_until(lambda: [s.number for s in opened.scans_after("lab", -1, 2).scans][1] > 10)
 
 
-@pytest.mark.skipif(os.name == "nt", reason="SIGHUP is POSIX")
-def test_a_closed_terminal_does_not_end_the_recorder(tmp_path):
+@pytest.mark.skipif(os.name == "nt", reason="these signals are POSIX")
+def test_a_closed_terminal_or_a_wish_to_rotate_logs_does_not_end_the_recorder(tmp_path):
     with plant(tmp_path) as made, open_store(made.url) as opened:
         command = [sys.executable, "-m", "daq.recording.recorder", str(made.config)]
         where = {"cwd": Path(__file__).parents[2], "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         with subprocess.Popen(command, **where) as child:
             try:
                 wait_until(lambda: opened.newest_scan_number("lab") > 2)
-                child.send_signal(signal.SIGHUP)
+                for one in (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2):
+                    child.send_signal(one)
                 newest = opened.newest_scan_number("lab")
                 wait_until(lambda: opened.newest_scan_number("lab") > newest + 5)
                 assert child.poll() is None

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import psycopg
 import pytest
+import time_machine
 from sqlalchemy import text
 from sqlalchemy.engine import make_url
 
@@ -24,8 +25,9 @@ from daq.store.outbox import Outbox
 from daq.store.write_batch import Entry, WriteBatch
 from daq.words import say
 from tests.daq.test_kills import herd
-from tests.daq.test_recorder import all_scans, wait_until
+from tests.daq.test_recorder import all_scans
 from tests.daq.test_store_outbox import BEGAN, CHANNELS, G, Notes, batch
+from tests.patience import wait_until
 
 
 class Gate:
@@ -266,6 +268,18 @@ def test_a_server_that_is_restarted_under_the_recorder_costs_no_scan(tmp_path):
         with open_store(url) as store:
             balanced(one, store)
             wait_until(lambda: any("takes data again" in str(e.message) for e in store.journal(limit=200).items))
+
+
+def test_two_presses_that_begin_in_one_tick_of_the_clock_keep_their_scans_apart(tmp_path):
+    """Windows' clock ticks 64 times a second."""
+    with open_store(str(tmp_path / "s.sqlite")) as store, time_machine.travel(BEGAN, tick=False):
+        outbox = Outbox(store, buffer=tmp_path / "b.sqlite")
+        keys = [outbox.later_key(press, CHANNELS, "press file") for press in ("lab", "hall")]
+        for key in keys:
+            outbox.put(batch(key, 0))
+        outbox.start()
+        outbox.close()
+        assert [len(store.scans_after(press, -1, 10).scans) for press in ("lab", "hall")] == [1, 1]
 
 
 def test_a_session_gets_its_place_once_in_order_behind_what_a_killed_one_left(store_url, tmp_path):

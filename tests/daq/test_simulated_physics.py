@@ -10,8 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import erfcx
 
+from daq.records import Panel
 from daq.simulated import physics_kernel as kernel
-from daq.simulated.physics import nominal_panel, solve
+from daq.simulated.physics import solve
 from daq.simulated.physics_mesh import LATENT_HEAT, build_knobs, build_mesh, first_state
 from daq.simulated.physics_pressing import DryingLaw, Outside, Platen, Plates, Pressing
 
@@ -22,6 +23,11 @@ STEEL = Plates()
 
 def constant_platen(temperature_C):
     return Platen(0.0, 1e4, np.full(2, temperature_C))
+
+
+def nominal_panel(thickness: float = 0.016, initial_temperature: float = 20.8) -> Panel:
+    """Return an MDF panel with the constants of the contract's example."""
+    return Panel("MDF", thickness, 740.0, 0.12, 1550.0, initial_temperature, 8.0)
 
 
 def pressing(**changes: object) -> Pressing:
@@ -125,11 +131,11 @@ def test_the_integrator_agrees_with_scipy_on_the_same_equations() -> None:
     mesh = build_mesh(p, "fast")
     knobs, y = build_knobs(p, mesh), first_state(p, mesh, None)
     n, m = len(y.T), len(y.w)
-    g, loss, d = np.empty(n + 1), np.empty(n), kernel.State(np.empty(n), np.empty(m), np.empty(5))
+    flow, d = kernel.Flow(np.empty(n + 1), np.empty(n)), kernel.State(np.empty(n), np.empty(m), np.empty(5))
 
     def rates(t: float, v: np.ndarray, middle: float) -> np.ndarray:
         now = kernel.State(v[:n].copy(), v[n : n + m].copy(), v[n + m :].copy())
-        kernel.slope(t, middle, now, knobs, mesh.stack, g, loss, d)
+        kernel.slope(kernel.At(t, middle), now, knobs, mesh.stack, flow, d)
         return np.concatenate((d.T, d.w, d.x))
 
     v = np.concatenate((y.T, y.w, y.x))

@@ -1,6 +1,5 @@
 """Nothing put into the write path is lost in silence: every scan, begin, end and event is a row or an alarm."""
 
-import json
 import os
 import random
 import signal
@@ -18,7 +17,8 @@ from daq.recording.run_keeper import RunKeeper, RunNames, RunRules
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.store import RunStatus, open_store
 from daq.store.outbox import Outbox
-from tests.daq.test_store_outbox import wait_until
+from tests.daq.accounted import note, noted
+from tests.patience import wait_until
 
 CHANNELS = (Channel("platen_top"), Channel("top_1"))
 RULES = RunRules("lab", pre_trigger_s=5.0, post_removal_s=5.0, longest_run_s=3600.0)
@@ -106,19 +106,10 @@ def test_pressings_around_midnight_with_a_clock_set_back_and_forth_and_restarts_
         assert len(set(names)) == len(names) == 8
 
 
-def note(place, kind, batch):
-    """Write down what a batch holds, by the press's own clock: in one write, which a SIGKILL cannot tear."""
-    held = [("scan", one.monotonic_s) for one in batch.scans]
-    held += [(event.kind.value, event.monotonic_s) for event in batch.events]
-    held += [("begin", batch.begin.zero_monotonic_s)] if batch.begin else []
-    held += [("end", batch.end.ended_utc.timestamp())] if batch.end else []
-    os.write(place, "".join(f"{json.dumps([kind, *one])}\n" for one in held).encode())
-
-
 def record_until_killed(url, folder, step_s):
     """Put pressings as a press line does, from where the one before was killed, until somebody kills us."""
     place = os.open(folder / "notes", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-    put = [at for kind, what, at in noted(folder) if (kind, what) == ("put", "scan")]
+    put = [at for kind, what, at in noted(folder / "notes") if (kind, what) == ("put", "scan")]
     number = int(max(put, default=999.0)) - 999
     with open_store(url) as store:
         store.interrupt_open_runs("lab")
@@ -137,13 +128,6 @@ def record_until_killed(url, folder, step_s):
             time.sleep(0.0005)
 
 
-def noted(folder):
-    """Return the lines that are written; of the one that is being written, nothing."""
-    file = folder / "notes"
-    written = file.read_text().rpartition("\n")[0] if file.exists() else ""
-    return [json.loads(line) for line in written.splitlines()]
-
-
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 @pytest.mark.parametrize("seed", range(2))
 def test_a_recorder_killed_at_any_moment_keeps_what_it_had_acknowledged_and_invents_nothing(
@@ -154,11 +138,11 @@ def test_a_recorder_killed_at_any_moment_keeps_what_it_had_acknowledged_and_inve
     open_store(store_url).close()
     for _ in range(5):
         step_s = chance.choice((0.0, -3600.0, -86400.0, 86400.0))
-        before = len(noted(tmp_path))
+        before = len(noted(tmp_path / "notes"))
         recorder = get_context("fork").Process(target=record_until_killed, args=(store_url, tmp_path, step_s))
         recorder.start()
         more = chance.randrange(1, 600)
-        wait_until(lambda: len(noted(tmp_path)) > before + more or recorder.exitcode is not None)  # noqa: B023
+        wait_until(lambda: len(noted(tmp_path / "notes")) > before + more or recorder.exitcode is not None)  # noqa: B023
         recorder.kill()
         recorder.join()
         assert recorder.exitcode == -signal.SIGKILL
@@ -172,7 +156,8 @@ def test_a_recorder_killed_at_any_moment_keeps_what_it_had_acknowledged_and_inve
         assert len({run.run for run in runs}) == len(runs)
         assert not store.journal(level="alarm").items
     put, kept = (
-        Counter((what, at) for kind, what, at in noted(tmp_path) if kind == which) for which in ("put", "kept")
+        Counter((what, at) for kind, what, at in noted(tmp_path / "notes") if kind == which)
+        for which in ("put", "kept")
     )
     assert max(there.values()) == 1
     assert kept.keys() <= there.keys() <= put.keys()

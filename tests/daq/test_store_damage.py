@@ -5,7 +5,7 @@ import random
 import re
 import shutil
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 
 import pytest
@@ -15,7 +15,8 @@ from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
 from daq.store.write_batch import Entry
 from daq.words import say
-from tests.daq.test_store_outbox import BEGAN, CHANNELS, Notes, batch, numbers, wait_until
+from tests.daq.test_store_outbox import BEGAN, CHANNELS, Notes, batch, numbers, small_disk  # noqa: F401
+from tests.patience import wait_until
 
 
 def spoil(path, offset, count, with_):
@@ -85,6 +86,127 @@ def test_a_damaged_buffer_is_set_aside_and_recording_goes_on_into_the_store(tmp_
         gone = 300 - int(told[1])
         assert told[3] == (" are lost" if running else " at least")
         assert int(told[2]) == gone if running or damage == "a torn page" else int(told[2]) <= gone
+
+
+def fill(ballast):
+    with ballast.open("ab", buffering=0) as file, suppress(OSError):
+        while file.write(b"x" * 512) == 512:
+            pass
+
+
+def entries(texts):
+    return [Entry("info", "record", say("plain-text", text=text), "lab") for text in texts]
+
+
+def drained(buffer):
+    found = []
+    while rows := buffer.oldest(50):
+        found += [str(item.message) for _, item in rows]
+        buffer.remove(rows[-1][0])
+    return found
+
+
+@pytest.mark.parametrize("room_again", [True, False], ids=["room again", "still full"])
+def test_a_full_disk_costs_a_buffer_nothing_of_what_waits_in_it(small_disk, room_again):  # noqa: F811
+    told, texts = [], [f"{n} {'x' * 500}" for n in range(40)]
+    buffer, ballast = Buffer(small_disk / "b.sqlite", told.append), small_disk / "ballast"
+    buffer.append(entries(texts))
+    fill(ballast)
+    for _ in range(3):
+        with pytest.raises(sqlite3.OperationalError, match="full"):
+            buffer.append(entries("x" * 10_000))
+    if room_again:
+        ballast.unlink()
+        buffer.append(entries(["more"]))
+        texts.append("more")
+    assert drained(buffer) == texts
+    assert not told
+
+
+def test_a_buffer_that_is_damaged_on_a_full_disk_is_salvaged_when_there_is_room(small_disk):  # noqa: F811
+    told, texts = [], [f"{n} {'x' * 500}" for n in range(400)]
+    path, ballast = small_disk / "b.sqlite", small_disk / "ballast"
+    buffer = Buffer(path, told.append)
+    buffer.append(entries(texts))
+    spoil(path, 4096 * 9, 4096, b"\xa5")
+    fill(ballast)
+    for _ in range(3):
+        with suppress(sqlite3.Error):
+            buffer.append(entries(["too much"] * 100))
+    ballast.unlink()
+    buffer.append(entries(["more"]))
+    found = drained(buffer)
+    assert len(found) > 390
+    assert found[-1] == "more"
+    assert [one.code for one in told] == ["buffer-damaged"]
+    assert told[0].arguments["lost"] == 401 - len(found)
+
+
+def full_disk_with(what, disk, key):
+    """Fill a disk on which there is no buffer yet, an empty one, or one that waits to be written."""
+    if what != "no file":
+        buffer = Buffer(disk / "b.sqlite")
+        buffer.sessions[-5] = {"channels": [], "press_file": ""}
+        if what == "entries waiting":
+            buffer.append([batch(key, n) for n in range(300)] + entries(["from before"]))
+    fill(disk / "ballast")
+
+
+@pytest.mark.parametrize("before", ["no file", "a file with nothing in it", "entries waiting"])
+def test_a_recorder_that_starts_while_its_buffers_disk_is_full_records_to_a_store_that_is_well(
+    store_url,
+    small_disk,  # noqa: F811
+    monkeypatch,
+    before,
+):
+    notes, first = Notes(), 300 if before == "entries waiting" else 0
+    with open_store(store_url) as store:
+        full_disk_with(before, small_disk, store.register_press("lab", CHANNELS))
+        for start in range(2):  # the second finds what the first could not remove
+            outbox = Outbox(store, buffer=small_disk / "b.sqlite", acknowledged=notes.note, journal=notes.journal)
+            key = outbox.later_key("lab", CHANNELS, "press file")
+            outbox.start()
+            for n in range(100):
+                outbox.put(batch(key, n))
+            wait_until(lambda: store.newest_scan_number("lab") + 1 == first + 100 * (start + 1))  # noqa: B023
+            if start == 0:
+                outbox.close()
+        kept = store.scans_after("lab", -1, 1000).scans
+        assert [scan.number for scan in kept] == list(range(first + 200))
+        assert [scan.values[1] - 20.0 for scan in kept] == [*range(first), *range(100), *range(100)]
+        lines = [str(e.message) for e in store.journal(limit=100).items if e.message.code == "plain-text"]
+        assert lines == (["from before"] if first else [])
+        told = [text for level, text in notes.said if level == "alarm"]
+        assert all(str(small_disk / "b.sqlite") in text for text in told)
+        assert told or before != "no file"
+        write = store.write_batches
+        monkeypatch.setattr(store, "write_batches", refuse)
+        (small_disk / "ballast").unlink()
+        for n in range(100, 150):
+            outbox.put(batch(key, n))
+        wait_until(lambda: notes.acknowledged[-1:] == [149])
+        assert outbox.capacity.code == "waits-in-buffer"
+        monkeypatch.setattr(store, "write_batches", write)
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert numbers(store) == list(range(first + 250))
+
+
+def refuse(*items):
+    raise StoreUnavailable(say("plain-text", text="away"))
+
+
+def test_the_salvage_of_a_buffer_that_is_cut_short_ends_wherever_it_is_cut(tmp_path):
+    told, path = [], tmp_path / "b.sqlite"
+    texts = [f"{n} {'x' * 300}" for n in range(400)]
+    Buffer(path).append(entries(texts))
+    whole = path.read_bytes()
+    for length in range(3 * 4096, len(whole), 5555):
+        path.write_bytes(whole[:length])
+        found = drained(Buffer(path, told.append))
+        assert set(found) <= set(texts)
+        assert len(found) == len(set(found))
+    assert told
 
 
 def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):

@@ -14,7 +14,8 @@ from daq.store import outbox as outbox_module
 from daq.store.file_rescue import damage_of
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
-from tests.daq.test_store_outbox import CHANNELS, Notes, batch, wait_until
+from tests.daq.test_store_outbox import CHANNELS, Notes, batch
+from tests.patience import wait_until
 
 
 def delete(path, folder):
@@ -196,3 +197,12 @@ def test_a_file_whose_pages_the_disk_does_not_give_is_damaged_and_one_that_is_lo
         path.with_name("s.sqlite-wal").unlink()  # the index says that it holds the newest pages
         assert damage_of(path) == "disk I/O error"
     assert damage_of(tmp_path / "gone.sqlite") == ""
+
+
+def test_a_damaged_file_is_told_whatever_words_its_error_has(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("CREATE TABLE locked (number)")
+        connection.execute("PRAGMA writable_schema=ON")
+        connection.execute("UPDATE sqlite_master SET sql = 'CREATE TABLE unable to open'")
+    assert damage_of(path).startswith("malformed database schema (locked)")

@@ -2,11 +2,13 @@
 
 import sqlite3
 import subprocess
+import tempfile
 import threading
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from itertools import count, islice
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -18,6 +20,7 @@ from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
 from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
 from daq.words import say
+from tests.patience import wait_until
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 CHANNELS = (Channel("platen_top"), Channel("top_1"))
@@ -27,13 +30,6 @@ G = Quality.GOOD
 def batch(key, number):
     scan = Scan(number, BEGAN + timedelta(seconds=number / 10), 100 + number / 10, (200.0, 20.0 + number), (G, G))
     return WriteBatch(key, (scan,))
-
-
-def wait_until(condition, longest_s=240.0):
-    deadline = time.monotonic() + longest_s
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.01)
 
 
 class Notes:
@@ -248,15 +244,19 @@ def test_what_a_killed_recorder_left_in_the_buffer_is_written_by_the_next(postgr
 
 
 @pytest.fixture
-def small_disk(tmp_path):
-    """A file system of 3 MB; skipped where mounting is not allowed."""
-    place = tmp_path / "small"
-    place.mkdir()
+def small_disk():
+    """A file system of 3 MB; skipped where mounting is not allowed.
+
+    Not in a folder that pytest clears later: of a run that was killed it stays mounted.
+    """
+    place = Path(tempfile.mkdtemp(prefix="small-disk-"))
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)], capture_output=True)
     if mounted.returncode:
+        place.rmdir()
         pytest.skip(f"no small file system can be mounted here: {mounted.stderr.decode().strip()}")
     yield place
     subprocess.run(["umount", str(place)], check=True)
+    place.rmdir()
 
 
 def test_a_full_disk_makes_scans_wait_and_recording_goes_on_when_there_is_room(small_disk):

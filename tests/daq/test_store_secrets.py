@@ -15,8 +15,10 @@ from daq.address import Address, hidden, text_without
 from daq.process.config import load_config
 from daq.records import InputError
 from daq.store import open_store
+from daq.words import say
 from tests.daq.test_config import PRESSES
-from tests.daq.test_recorder import plant, wait_until
+from tests.daq.test_recorder import plant
+from tests.patience import wait_until
 
 SECRET = "gehei mnis-4711"
 WAYS = {
@@ -206,3 +208,25 @@ def test_a_folder_with_an_at_sign_is_a_folder_where_it_is_there(tmp_path):
     (home / "kerntemp.toml").write_text(press_and_logger(home))
     with open_store(load_config(home / "kerntemp.toml").store.url) as store:
         assert store.label == str(home / "kerntemp.sqlite")
+
+
+ASTRAY = """fit {url} --press p|fit a --press {url}|check --config {url}|export {url}|import {url} --press p
+backup {url}
+predict {url} --press p --out o|simulate a --press {url} --out o|diagnose {url}|record {url}|sense --config {url}
+serve --config {url}|refit --config {url}|publish --config {url}|token {url}|calibrate --room {url}|{url}
+probe --port {url}|probe --host {url}|demo --hide {url}|demo --port {url}|plan {url} --press p
+advise --press {url} --model m|advise --press p --model {url}|fit a --press p --until {url}"""
+
+
+@pytest.mark.parametrize("url", ["postgresql://eva:S3cr3tPw@h.invalid/x", "eva:S3cr3tPw@h.invalid/x"])
+@pytest.mark.parametrize("call", ASTRAY.replace("\n", "|").split("|"))
+def test_an_address_where_none_belongs_is_refused_without_its_password(call, url, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(call.format(url=url).split()) in (1, 2)
+    assert not [fragment for fragment in FRAGMENTS if fragment in "".join(capsys.readouterr())]
+
+
+def test_no_message_keeps_a_password_that_somebody_typed_or_a_library_says():
+    kept = say("plain-text", text="cannot reach mqtt://eva:S3cr3tPw@broker", more=["eva:S3cr3tPw@h", "top_1"])
+    assert "S3cr3tPw" not in json.dumps(kept.to_json())
+    assert say("plain-text", text="12:30 /home/eva@plant/x http://h:80").arguments["text"].count("*") == 0

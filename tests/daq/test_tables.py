@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from daq.drivers.calibration import read_calibrations
 from daq.press.press_file import parse_press, read_press
+from daq.press.resin_file import read_resin
 from daq.process.config import Config, load_config
 from daq.records import InputError
-from daq.tables import fields_at, nearest, read_toml
+from daq.tables import LARGEST_BYTES, fields_at, nearest, read_toml
 from daq.words import spoken
 from daq.words.message import words
+from softsensor.jobs.model_files import read_model
 
 PANEL = '[[layer]]\nname = "panel"\nfrom_run = true\n'
 
@@ -94,3 +97,11 @@ def test_the_keys_of_a_table_are_found_by_its_place_through_lists_and_names():
     assert "channels" in fields_at(Config, ["press", "0", "logger", "1"])
     assert "rate_hz" in fields_at(Config, ["press", "0"])
     assert "keep_idle_days" in fields_at(Config, ["store"])
+
+
+@pytest.mark.parametrize("read", [load_config, read_press, read_resin, read_model, read_calibrations])
+def test_of_a_file_without_end_only_a_bounded_piece_is_read(tmp_path, read):
+    path = tmp_path / "wrong.toml"
+    path.write_text(PANEL + "# " + LARGEST_BYTES * "x")
+    with pytest.raises(InputError, match=r"wrong.toml: .*File too large"):
+        read(path)

@@ -19,8 +19,13 @@ from daq.shared import shared_files
 
 GALLERY = shared_files() / "gallery"
 REWRITE = "the notebook shows what the program no longer says; run: python deploy/figures/gallery_notebooks.py"
-SCRIPTS = sorted(GALLERY.glob("*.py"), key=lambda path: (path.stem == "own_effect", path.stem))
-"""The one that adds to the catalogue comes last: its effect outlives the names that the next one clears."""
+SCRIPTS = sorted(GALLERY.glob("*.py"))
+CLEAR = """%reset -f
+import softsensor.effects
+for name in softsensor.effects.catalogue().keys() - {effect.name for effect in softsensor.effects.BUILT_IN}:
+    del softsensor.effects.catalogue()[name]
+%reset -f"""
+"""What comes before every notebook: the effect one adds is to outlive neither its names nor its catalogue."""
 every_notebook = pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 
 
@@ -115,7 +120,7 @@ def test_an_interval_that_has_grown_is_another_answer_and_a_last_digit_is_not():
 def test_the_notebook_runs_and_says_what_it_is_shipped_with(script, kernel):
     written = nbformat.read(script.with_suffix(".ipynb"), as_version=4)
     cells = copy.deepcopy(written.cells)
-    kernel.nb = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("%reset -f"), *cells])
+    kernel.nb = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CLEAR), *cells])
     for number, cell in enumerate(kernel.nb.cells):
         kernel.execute_cell(cell, number)
     for kept, now in zip(written.cells, cells, strict=True):

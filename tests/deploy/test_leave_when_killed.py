@@ -15,7 +15,8 @@ import pytest
 from api.answers.present import SILENT_S
 from tests.api.test_live import Stream
 from tests.api.test_plant_mqtt import MOSQUITTO, Broker, Listener
-from tests.daq.test_recorder import plant, wait_until
+from tests.daq.test_recorder import plant
+from tests.patience import wait_until
 
 pytestmark = [
     pytest.mark.campaign,

@@ -17,7 +17,7 @@ import sys
 import textwrap
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.press import PressSettings, VirtualPress
 from daq.store import RunStatus, open_store
+from tests.patience import wait_until
 
 ROOT = Path(__file__).parents[2]
 RUNBOOK = ROOT / "deploy" / "RUNBOOK.md"
@@ -198,18 +199,12 @@ class PressPc:
         A press that went on would give a slow machine ever more to refit.
         """
         with open_store(str(self.folder / "var/lib/kerntemp/kerntemp.sqlite")) as store:
-            self._wait("the live sensor is not there", lambda: "sense" in store.statuses())
+            wait_until(lambda: "sense" in store.statuses(), "the live sensor is not there")
             self.began_s = time.monotonic()
-            self._wait("no pressing was recorded", lambda: store.runs(status=RunStatus.CLOSED).items)
+            wait_until(lambda: store.runs(status=RunStatus.CLOSED).items, "no pressing was recorded")
             self.stands_s = self.press.cycle(self._clock()).start + 1.0
             closed = store.runs(status=RunStatus.CLOSED).items
-            self._wait("no pressing was fitted", lambda: any(store.fit(r.run) for r in closed))
-
-    def _wait(self, else_: str, done: Callable[[], object]) -> None:
-        deadline = time.monotonic() + 240
-        while not done():
-            assert time.monotonic() < deadline, else_
-            time.sleep(0.2)
+            wait_until(lambda: any(store.fit(r.run) for r in closed), "no pressing was fitted")
 
     def stop(self) -> None:
         for pid in self.folder.glob("*.pid"):
@@ -243,10 +238,7 @@ def test_every_command_works_in_the_order_of_the_runbook(pc):
     assert (pc.folder / "var/lib/kerntemp/first.json").is_file()
     assert (pc.folder / "var/lib/kerntemp/restored.sqlite").is_file()
     with open_store(str(pc.folder / "var/lib/kerntemp/kerntemp.sqlite")) as store:
-        deadline = time.monotonic() + 240
-        while "publish" not in store.statuses() and time.monotonic() < deadline:
-            time.sleep(0.2)
-        assert {"record", "sense", "publish"} <= set(store.statuses())
+        wait_until(lambda: {"record", "sense", "publish"} <= set(store.statuses()))
 
 
 def test_the_runbook_calls_kerntemp_as_somebody_who_may_read_its_configuration():

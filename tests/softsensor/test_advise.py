@@ -22,6 +22,7 @@ from softsensor.heat.model_file import FittedValue, ModelFile, model_text
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
 from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, _energy, advise, limits_of, quantities_of
 from softsensor.planning.made_up import DEPTHS, PLATENS, Programme, Task, ensemble, made_up_run
+from softsensor.planning.summary import advice_title
 from tests.screens import flooding
 
 ROOT = Path(__file__).parents[2]
@@ -183,6 +184,17 @@ def test_where_no_program_will_do_the_nearest_limit_is_named() -> None:
     assert not isfinite(found.nearest.opening.in_s)
     assert found.nearest.opening.blocking == "core_least"
     assert found.nearest.programme.platen_C == 200.0
+
+
+@pytest.mark.parametrize("most_C", [20.0, 140.0])
+def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_its_distance(most_C: float) -> None:
+    """A core over 170 °C and under 20 °C; over 170 °C and under 140 °C: the two limits ask for the opposite."""
+    limits = limits_of(None, {"core_least_C": 170.0, "core_most_C": most_C})
+    found = advise(task(), Wish(limits, None, {"press_time_s": (60.0, 90.0)}, Goal.TIME))
+    assert {t.opening.risk for t in found.tried} == {1.0}
+    furthest = {t.programme.platen_C: t.opening.beyond for t in found.tried}
+    assert found.nearest.opening.beyond == min(furthest.values()) < max(furthest.values())
+    assert f"platens {found.nearest.programme.platen_C:.0f} °C" in str(advice_title(found))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from daq.simulated.campaign_sensors import Nuisances
 from daq.simulated.physics_pressing import Plates
 from softsensor.fitting.dependence import Dependence, _regress, fit_dependence
 from softsensor.fitting.population import Knowledge, population
-from softsensor.heat.model_file import parse_model
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.campaign import fit_campaign
 from tests.panels import panel_stated
 
@@ -162,7 +162,7 @@ def test_settings_that_hardly_vary_give_no_slope(campaign):
 def test_what_no_run_can_tell_stays_within_the_limits_of_the_press_file():
     run, truth = make_campaign(4, 1, plan=Plan(rate_hz=2.0, closed_column=True))[0]
     keep = run.time_s < truth.moments.closed_s - 0.5
-    short = replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()})
+    short = run.at_rows(keep)
     found = fit_campaign(PRESS, [short])
     model = found.model_file()
     for name in PRESS.coefficient_names:

@@ -84,12 +84,14 @@ def test_moist_and_dry_discs_together_get_no_common_name():
 
 
 def test_residual_of_moist_pine_sits_where_water_boils():
+    """There alone the plain model is too warm; panels of their own let it be too cold elsewhere."""
     found = pair()
     for white, run in zip(found.stages[0].data, found.stages[0].fit.runs, strict=True):
         back, residual = white.digest.y[:, 0], run.misfit[:, 0]
         boiling = (back > 85.0) & (back < 115.0)
         assert np.nanmean(residual[boiling]) < -4.0
-        assert abs(np.nanmean(residual[(back > 40.0) & (back < 75.0)])) < 2.0
+        for low, high in ((20.0, 40.0), (40.0, 75.0), (75.0, 85.0), (115.0, 300.0)):
+            assert np.nanmean(residual[(back > low) & (back < high)]) > -1.0
 
 
 def cooler_than_told(where):
@@ -103,7 +105,7 @@ def test_stretches_told_of_moist_pine_lie_where_water_boils():
     assert all(85.0 < row["low_C"] < row["high_C"] < 115.0 for row in rows)
     low, high = (f"{rows[0][key]:.0f}" for key in ("low_C", "high_C"))
     assert f"where it measured {low} to {high} °C" in sentences(where_said(pair()))
-    assert f"{temperatures(rows[0])}</td>" in diagnosis_report(pair())
+    assert f"{temperatures(rows[0])}</td>" in diagnosis_report(pair()).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_stretch_where_water_boils_is_told_first_though_runs_go_on_to_charring():
@@ -112,7 +114,7 @@ def test_stretch_where_water_boils_is_told_first_though_runs_go_on_to_charring()
         [digest_run(pine_disc(), r, moments_seen(r, pine_disc())) for r in _runs(MOIST_DISCS_40_KW, "pine")],
     )
     first = _where(plain)[0]
-    assert first["residual_K"] < -20.0
+    assert first["residual_K"] < -15.0
     assert 85.0 < first["low_C"] < 115.0
     assert first["to_s"] - first["from_s"] < 100.0
 
@@ -163,13 +165,12 @@ def test_figure_of_a_measured_run_shows_readings_both_models_and_both_residuals(
 
 
 @pytest.mark.campaign
-def test_moist_pine_whose_runs_go_on_to_charring_is_suspected_to_be_moist_and_not_described():
-    """No model has charring: a second cause is taken in for it, and of four runs only a single one is named."""
+def test_moist_pine_whose_runs_go_on_to_charring_is_moist_or_like_it():
+    """No model has charring; that water leaves too stays in the set."""
     found = diagnose(pine_disc(), moist_runs())
-    assert found.findings == ()
-    assert found.verdict == "not_described"
-    assert found.suspected[0].name == "moisture_evaporation"
-    assert found.suspected[0].parameters["moisture_percent"].ci95[0] > 0.0
+    assert [f.set[0] for f in found.findings] == ["moisture_evaporation"]
+    assert found.verdict == "ambiguous"
+    assert found.findings[0].parameters["moisture_percent"].ci95[0] > 0.0
 
 
 @pytest.mark.campaign

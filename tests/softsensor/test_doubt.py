@@ -9,7 +9,7 @@ from daq.press.press_file import parse_press, press_for_run
 from daq.press.resin_file import read_resin
 from daq.records import Run
 from softsensor.live.curing import resin_setup
-from softsensor.signals.doubt import Source, constant_doubts
+from softsensor.signals.doubt import Source, constant_doubts, one_product
 
 PRESS = """
 [[layer]]
@@ -119,3 +119,17 @@ def test_steam_of_a_panel_whose_moisture_nobody_gave_rests_on_no_guess():
     resin = read_resin(Path("deploy/resins/urea_formaldehyde.toml"))
     assert doubts({})["panel.moisture_percent"].source is Source.GUESS
     assert np.isnan(resin_setup(resin, HEADER, parse_press(PRESS)).moisture).all()
+
+
+def test_a_constant_of_the_header_is_as_unsure_in_share_whatever_its_size():
+    light, heavy = (doubts({"panel.density_kg_m3": value})["panel.density_kg_m3"] for value in (400.0, 800.0))
+    assert 0.0 < light.sd < 0.1 * light.value
+    assert heavy.sd == pytest.approx(2.0 * light.sd)
+
+
+def test_panels_of_one_nominal_thickness_differ_by_twice_the_norms_tolerance_at_most():
+    """EN 622-1: 0.2 mm to either side up to 19 mm, 0.3 mm beyond."""
+    assert one_product(15.81, 16.19)
+    assert not one_product(15.8, 16.25)
+    assert one_product(28.0, 28.55)
+    assert not one_product(28.0, 28.65)

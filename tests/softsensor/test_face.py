@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FunctionType
 from typing import get_args, get_type_hints
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -30,6 +31,7 @@ from daq.files.run_file import read_run
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
+from daq.words import say
 from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
@@ -207,6 +209,11 @@ def test_a_run_that_is_played_is_in_the_store_as_it_was(tmp_path):
     assert np.allclose(samples["top_1"], run.columns["top_1"], atol=1e-3, equal_nan=True)
     assert np.allclose(samples.index, run.time_s, atol=1e-6)
     assert samples.attrs["panel.material"] == "MDF"
+    with pytest.raises(daq.InputError, match="is in the store already"):
+        daq.play(run, url, "other")
+    with daq.open_store(url) as store:
+        assert list(store.runs().index) == [run.name]
+        assert repr(store) == f"StoreTables {url}"
 
 
 def test_a_run_file_through_a_table_is_the_same_run():
@@ -258,7 +265,7 @@ def test_any_table_comes_back_as_it_went_in(data, kinds, rows, start, zone, besi
     frame.attrs["panel.material"] = "MDF"
     run = daq.run_of(frame)
     back = daq.frame_of(run, as_given=True)
-    pd.testing.assert_frame_equal(back, frame, check_freq=False)
+    pd.testing.assert_frame_equal(back, frame)
     for name in frame:
         if name.endswith("_object"):
             assert list(map(type, back[name])) == list(map(type, frame[name]))
@@ -296,19 +303,55 @@ def keyed(frame, key):
 @pytest.mark.parametrize(
     ("frame", "words"),
     [
-        (pd.DataFrame({"top_1": [1.0]}), "the table has no times"),
+        (pd.DataFrame({"top_1": [1.0]}), "the table has no times; give a column or an index time_s in seconds"),
+        (
+            pd.DataFrame({"top_1": [1.0]}, index=pd.period_range("2026-03-04", periods=1, freq="s")),
+            r"no times; its index is of periods, so take table\.to_timestamp\(\)",
+        ),
         (pd.DataFrame({"time_s": [], "top_1": []}), "the table has no rows"),
         (pd.DataFrame({"time_s": [1.0, 0.5], "top_1": [1.0, 2.0]}), "time_s"),
         (pd.DataFrame({"time_s": [0.0], "closed": [3.0]}), "column closed: 3 must be 0"),
         (pd.DataFrame({"time_s": [0.0], "top_1": [1.0 + 2.0j]}), "column top_1 holds complex numbers; give"),
         (pd.DataFrame({"time_s": [0.0], "top_1": pd.Series([2.0j], dtype=object)}), "top_1 holds complex numbers"),
         (pd.DataFrame([[0.0, 1.0]], columns=[["time_s", "top"], ["", "1"]]), "labels have 2 levels; join them"),
+        (
+            pd.DataFrame({"top_1": [1.0]}, index=pd.MultiIndex.from_tuples([("a", 0.0)], names=["run", "time_s"])),
+            "the index has 2 levels .run, time_s.; give one run at a time",
+        ),
         (keyed(pd.DataFrame({"time_s": [0.0], "top_1": [1.0]}), 7), "key 7 of attrs is not a text"),
     ],
 )
 def test_a_table_that_is_no_run_is_refused_with_what_to_do(frame, words):
     with pytest.raises(daq.InputError, match=words):
         softsensor.read_run(frame)
+
+
+def test_numbers_of_numpy_are_numbers_in_a_header_and_others_are_shown_in_short():
+    frame = daq.frame_of(softsensor.read_run(SHORT))
+    frame.attrs["panel.thickness_mm"] = np.float32(16.0)
+    assert softsensor.read_run(frame).header["panel.thickness_mm"] == 16.0
+    assert softsensor.read_run(SHORT, header={"panel.density_kg_m3": np.int64(700)}).header is not None
+    frame.attrs["panel.thickness_mm"] = pd.Series([16.0, 17.0])
+    with pytest.raises(daq.InputError, match=r"thickness_mm = array \(2,\) from 16 to 17: must be a number"):
+        softsensor.read_run(frame)
+
+
+def test_one_switch_chooses_the_language_of_results_figures_and_refusals_and_no_json(fitted):
+    english = fitted.to_json()
+    with pytest.raises(daq.InputError, match="language tlh: there are words in en, de"):
+        daq.speak("tlh")
+    daq.speak("de")
+    try:
+        with pytest.raises(daq.InputError, match="int: eine Presse wird mit dem Pfad"):
+            softsensor.read_press(5)
+        assert repr(softsensor.read_run(SHORT)).startswith("Pressung 2026-03-04-07: 127 Scans, 0 bis 125.995 s")
+        assert repr(fitted.model()).startswith("Modell fit der Presse lab")
+        drawn = [text.get_text() for text in fitted.plot()[0].figure.findobj(lambda one: hasattr(one, "get_text"))]
+        assert any("Pressung" in text for text in drawn)
+        assert fitted.to_json() == english
+    finally:
+        daq.speak("en")
+    assert repr(softsensor.read_run(SHORT)).startswith("Run 2026-03-04-07: 127 scans")
 
 
 @pytest.mark.parametrize(
@@ -493,6 +536,34 @@ def test_a_store_answers_in_tables(tmp_path):
     assert 0.0 < moments.closed_s < moments.opened_s
 
 
+def test_a_store_that_is_closed_answers_no_more(tmp_path):
+    daq.play(SHORT, tmp_path / "runs.sqlite", "lab", scans=500)
+    with daq.open_store(tmp_path / "runs.sqlite") as store:
+        (name,) = store.runs().index
+    store.close()
+    for ask in (store.runs, store.coefficients, store.events, lambda: store.samples(name)):
+        with pytest.raises(daq.InputError, match=r"runs\.sqlite: is closed; open it again by daq\.open_store"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"scans": 0}, "scans = 0: must be a whole number, at least 1"),
+        ({"scans": 2.5}, "scans = 2.5: must be a whole number"),
+        ({"pause_s": -1.0}, "pause_s = -1: must be a number of seconds, at least 0"),
+        ({"press": None}, "NoneType: the name of a press is given as a text"),
+        ({"store": 5}, "int: a store is given as the path of its file"),
+    ],
+)
+def test_a_run_is_not_played_where_store_press_or_pace_cannot_be(given, said, tmp_path):
+    with pytest.raises(daq.InputError, match=said):
+        daq.play(**{"run": SHORT, "store": tmp_path / "runs.sqlite", "press": "lab"} | given)
+    with pytest.raises(daq.InputError, match="NoneType: a store is given as the path of its file"):
+        daq.open_store(None)
+    assert not (tmp_path / "runs.sqlite").exists()
+
+
 def test_a_store_that_is_not_there_is_not_made(tmp_path):
     with pytest.raises(daq.InputError, match="does not exist; start kerntemp record, or give the right path"):
         daq.open_store(tmp_path / "typo.sqlite")
@@ -598,10 +669,34 @@ def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):
 
 def test_a_live_sensor_says_which_press_it_follows_and_what_it_said_last(fitted):
     live = softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header, fitted)
-    assert repr(live) == "LiveSensor of press lab"
+    assert repr(live) == str(say("live-sensor-of-press", press="lab")) == "live sensor of press lab"
     live.update(2.5, {"platen_top": 200.0})
     assert "time_s = 2.5" in repr(live)
+    assert "invalid = Invalid(reason = platen reading missing" in repr(live)
     assert rows_of(repr(live)) <= ROWS
+
+
+def test_runs_presses_models_and_estimates_are_tables_in_a_notebook(fitted):
+    run = softsensor.read_run(SHORT, header={"panel.remark": "<b>wet & cold</b>"})
+    live = softsensor.LiveSensor(LAB, run.header, fitted)
+    estimate = live.update(2.5, {"platen_top": 200.0})
+    for one in (run, softsensor.read_press(LAB), fitted.model(), estimate, live):
+        head, *lines = repr(one).splitlines()
+        shown = ElementTree.fromstring(f"<div>{one._repr_html_()}</div>")
+        assert shown.findtext("p/b") == head
+        assert len(shown.findall("table/tbody/tr")) == len(lines) > 0
+    assert "<b>wet" not in run._repr_html_()
+    assert "<th>time_s</th><td>2.5</td>" in estimate._repr_html_()
+
+
+def test_a_plans_table_keeps_nats_shares_and_kelvins_apart(results):
+    table, told = results["plan"].frame(), json.loads(results["plan"].to_json())["open"]
+    best = table.xs("best", level="pressing")
+    for column, kind in (("half_share", "coefficient"), ("half_K", "core_band")):
+        expected = [one["best"]["half_interval"] if one["kind"] == kind else None for one in told]
+        np.testing.assert_array_equal(best[column], np.array(expected, float))
+    assert best["worth_nats"].tolist() == [one["best"]["worth"] for one in told]
+    assert "half_interval" not in table
 
 
 def test_whatever_a_result_leads_to_prints_on_one_screen(fitted):
@@ -626,6 +721,20 @@ def test_an_effect_of_ones_own_is_known_by_name_once():
         softsensor.add_effect(find_effect("edge_loss"))
 
 
+MODEL = softsensor.ThermalModel(softsensor.read_press(LAB))
+
+
+def measured(**truths):
+    """Return a measurement for the paper's comparison, the press file's guesses its truths but for some."""
+    run = softsensor.read_run(SHORT)
+    return run, daq.find_moments(run, LAB), {**MODEL.guesses, **truths}
+
+
+def advise(**asked):
+    """Ask for advice on a core of 60 °C."""
+    return softsensor.advise(LAB, softsensor.ModelFile("mine", "lab", {}), limits={"core_least_C": 60.0}, **asked)
+
+
 @pytest.mark.parametrize(
     ("ask", "said"),
     [
@@ -648,6 +757,27 @@ def test_an_effect_of_ones_own_is_known_by_name_once():
         (lambda: softsensor.diagnose(SHORT, LAB, effects=[5]), "int: names are given as one text or several"),
         (lambda: softsensor.LiveSensor(LAB, 5), "int: a header is given as"),
         (lambda: softsensor.add_effect(5), "int: an effect is given as an Effect"),
+        (lambda: advise(ranges={"press_time_s": 5}), "int: ranges are given as"),
+        (
+            lambda: advise(ranges={"press_time_s": (500.0, 5.0)}),
+            "range of press_time_s from 500 to 5: the lower end",
+        ),
+        (lambda: advise(goal="speed"), "goal speed: must be one of time, energy, throughput"),
+        (lambda: advise(waiting_s=math.nan), "waiting_s = nan: must be a number from 1 to 600"),
+        (lambda: advise(open_s="30"), "open_s = '30': must be a number from 1 to 3600"),
+        (lambda: advise(price_per_kWh=-3), "price_per_kWh = -3: must be a number from 0"),
+        (lambda: softsensor.plan(SHORT, LAB, ranges={"press_time_s": 5}), "int: ranges are given as"),
+        (lambda: softsensor.reproduce([], MODEL), "there is no measurement"),
+        (lambda: softsensor.reproduce(SHORT, MODEL), "measurements are given as a list of tuples"),
+        (lambda: softsensor.reproduce([(SHORT, None, {})], MODEL), "measurements are given as a list of tuples"),
+        (lambda: softsensor.reproduce([(softsensor.read_run(SHORT), {})], MODEL), "tuple: measurements are given"),
+        (lambda: softsensor.reproduce([measured()], LAB), "a thermal model is given as ThermalModel(press)"),
+        (lambda: softsensor.reproduce([measured(h_pp_c=-1.0)], MODEL), "h_pp_c = -1:"),
+        (lambda: softsensor.reproduce([(*measured()[:2], {})], MODEL), "the true value of h_p_o, h_p_c"),
+        (
+            lambda: softsensor.reproduce([measured()], MODEL, judged=["x"]),
+            "judged = ('x',): none of them is fitted",
+        ),
         (lambda: daq.run_of({"time_s": [0.0]}), "dict: a table is given as a pandas DataFrame"),
         (lambda: daq.frame_of(5), "int: a run is given as"),
         (lambda: daq.qualities_of(pd.DataFrame()), "pandas.DataFrame: a run is given as"),
@@ -671,6 +801,33 @@ def test_wrong_coefficients_are_refused_as_by_the_command(given, tmp_path, capsy
     said = " ".join(capsys.readouterr().err.split())
     assert str(ours.value).removeprefix("model: ") in said
     assert f"{path.name}: " in said
+
+
+MADE = softsensor.ModelFile("made", "lab", {"h_zz": softsensor.FittedValue(700.0, 70.0)})
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda model: softsensor.simulate(SHORT, LAB, model),
+        lambda model: softsensor.predict(SHORT, LAB, model),
+        lambda model: softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header, model),
+        lambda model: softsensor.advise(LAB, model, limits={"core_least_C": 60.0}),
+    ],
+)
+def test_a_model_made_in_python_is_held_to_its_press_and_to_what_matter_can_be(use):
+    with pytest.raises(
+        daq.InputError, match="model made: h_zz: press 'lab' has no such coefficient; it has h_p_o"
+    ):
+        use(MADE)
+    with pytest.raises(daq.InputError, match=r"coefficients\.h_pp_c = 700: needs numbers value and sd"):
+        use(replace(MADE, coefficients={"h_pp_c": 700.0}))
+
+
+def test_a_model_of_another_press_is_warned_about_as_at_the_terminal():
+    model = softsensor.ModelFile("1", "rig", {"h_pp_c": softsensor.FittedValue(700.0, 70.0)})
+    with pytest.warns(UserWarning, match="model 1 is of press 'rig', the press file is of 'lab'"):
+        softsensor.simulate(SHORT, LAB, model)
 
 
 def test_one_pattern_may_be_a_text_and_a_run_a_file_for_every_function():

@@ -136,7 +136,7 @@ def test_profile_open_at_a_limit_is_called_so(rate_hz):
     for run, truth in measured:
         m = truth.moments
         keep = run.time_s <= rng.uniform(m.inserted_s + 5.0, m.opened_s + 5.0)
-        runs.append(replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()}))
+        runs.append(run.at_rows(keep))
     called, kept, covered = [], [], []
     for fitted, (_, truth) in zip(fit_runs(MODEL, runs), measured, strict=True):
         for name, c in fitted.coefficients.items():

@@ -32,7 +32,8 @@ from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import LENGTH, LEVEL, STRENGTH, VALUE, Smooth
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.model_file import model_text, parse_model
+from softsensor.heat.model_file import model_text
+from softsensor.heat.model_reading import parse_model
 from softsensor.live.replay import replay
 
 PRESS_S = 30.0
@@ -345,7 +346,7 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     said = [words(m, language) for m in law_said(cast(Diagnosis, found))]
     assert part in said[0]
     assert len(said) == 4
-    assert {"en": "falls by 50 % between 0.0 and 30", "de": "zwischen 0,0 und 30 um 50 %"}[language] in said[1]
+    assert {"en": "falls by 50 % between 0 and 30", "de": "zwischen 0 und 30 um 50 %"}[language] in said[1]
     content = one.as_json()
     assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
     assert all(len(row) == 4 for row in content["curve"])

@@ -25,11 +25,6 @@ def measured():
     return make_campaign(11, 1, plan=replace(PLAN, nuisances=Nuisances.real_chain()))[0]
 
 
-def _until(run, end_s):
-    keep = run.time_s <= end_s
-    return replace(run, time_s=run.time_s[keep], columns={c: v[keep] for c, v in run.columns.items()})
-
-
 def test_full_run_shows_the_main_coefficients_within_thirty_percent_of_a_panel_that_was_measured():
     """By a data sheet's constants they are known to a factor of 1.75 at least: panel and contact act alike."""
     exact = replace(PLAN, nuisances=Nuisances.real_chain(), panel_spread=0.0)
@@ -46,7 +41,7 @@ def test_full_run_shows_the_main_coefficients_within_thirty_percent_of_a_panel_t
 
 def test_run_that_ends_while_closed_cannot_tell_what_happens_after_opening(measured):
     run, truth = measured
-    fitted = fit_run(MODEL, _until(run, truth.moments.opened_s - 1.0), truth.moments)
+    fitted = fit_run(MODEL, run.at_rows(run.time_s <= truth.moments.opened_s - 1.0), truth.moments)
     panel_air, contact = fitted.coefficients["h_wa"], fitted.coefficients["h_pp_c"]
     assert contact.identifiable
     assert panel_air.ci95[1] / panel_air.ci95[0] > 2.0
@@ -57,7 +52,7 @@ def test_run_that_ends_while_closed_cannot_tell_what_happens_after_opening(measu
 
 def test_run_that_never_closes_says_nothing_about_closed_contacts(measured):
     run, truth = measured
-    fitted = fit_run(MODEL, _until(run, truth.moments.closed_s - 1.5), truth.moments)
+    fitted = fit_run(MODEL, run.at_rows(run.time_s <= truth.moments.closed_s - 1.5), truth.moments)
     for name in ("h_pp_c", "h_p_c"):
         c = fitted.coefficients[name]
         assert c.verdict == "not identifiable"
@@ -77,7 +72,7 @@ def test_contact_too_good_to_be_seen_is_known_from_below_only():
 
 def test_what_only_a_prior_says_is_not_called_identified(measured):
     run, truth = measured
-    short = _until(run, truth.moments.closed_s - 1.5)
+    short = run.at_rows(run.time_s <= truth.moments.closed_s - 1.5)
     fitted = fit_run(knowing(MODEL, h_pp_c=(700.0, 0.2)), short, truth.moments)
     c = fitted.coefficients["h_pp_c"]
     assert not c.identifiable
@@ -125,7 +120,9 @@ def test_value_at_a_limit_has_no_standard_deviation_and_a_one_sided_interval():
 
 def test_remedy_speaks_of_the_run_at_hand(measured):
     run, truth = measured
-    short = fit_run(knowing(MODEL, h_ap=(10.0, 2.0)), _until(run, truth.moments.opened_s + 6.0), truth.moments)
+    short = fit_run(
+        knowing(MODEL, h_ap=(10.0, 2.0)), run.at_rows(run.time_s <= truth.moments.opened_s + 6.0), truth.moments
+    )
     reason = str(short.coefficients["h_ap"].reason)
     assert not short.coefficients["h_ap"].identifiable
     assert "6 s after opening in this run" in reason
@@ -145,7 +142,7 @@ def test_moment_in_a_gap_is_searched_there_and_said(measured, moment):
     run, truth = measured
     at = getattr(truth.moments, moment)
     keep = (run.time_s < at - 3.0) | (run.time_s > at + 6.0)
-    gap = replace(run, time_s=run.time_s[keep], columns={c: v[keep] for c, v in run.columns.items()})
+    gap = run.at_rows(keep)
     late = float(gap.time_s[gap.time_s > at][0])
     fitted = fit_run(MODEL, gap, replace(truth.moments, **{moment: late}))
     assert abs(getattr(fitted, moment) - at) < 1.0

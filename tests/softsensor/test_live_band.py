@@ -55,10 +55,6 @@ def beyond(said, core):
     return np.array(rows)
 
 
-def first_scans(run, count):
-    return replace(run, time_s=run.time_s[:count], columns={n: v[:count] for n, v in run.columns.items()})
-
-
 def in_panel(run, change):
     own = {n: change(v) if n.startswith(("top_", "bottom_")) else v for n, v in run.columns.items()}
     return replace(run, columns=own)
@@ -139,7 +135,7 @@ def test_what_a_wrong_constant_does_to_the_core_is_what_the_filter_with_another_
     """The core of the same readings replayed under a constant 1 % off moves by what the filter says beforehand."""
     run, truth = pressing
     ends = int(np.searchsorted(run.time_s, truth.moments.closed_s + 45.0))
-    run = replace(run, time_s=run.time_s[:ends], columns={n: v[:ends] for n, v in run.columns.items()})
+    run = run.at_rows(slice(ends))
     given = {"panel.conductivity_W_mK": 0.12, "panel.heat_capacity_J_kgK": 1550.0}
     filters = []
     for factor in (1.0, 1.01):
@@ -233,7 +229,7 @@ def test_the_band_of_stated_constants_does_not_depend_on_what_panels_scatter_by(
         "panel.heat_capacity_J_kgK.sd": 15.5, "panel.density_kg_m3.sd": 2.0, "panel.thickness_mm.sd": 0.02,
     }  # fmt: skip
     ends = int(np.searchsorted(run.time_s, truth.moments.closed_s + 50.0))
-    short = replace(run, time_s=run.time_s[:ends], columns={n: v[:ends] for n, v in run.columns.items()})
+    short = run.at_rows(slice(ends))
     half = []
     for spread in (0.03, 0.3):
         scatter = {key: Scatter(spread, 9, spread) for key in given if not key.endswith(".sd")}
@@ -335,7 +331,7 @@ def test_the_band_says_what_it_comes_from_and_constants_that_were_measured_weigh
         "panel.conductivity_W_mK.sd": 0.0006, "panel.heat_capacity_J_kgK": 1550.0,
         "panel.heat_capacity_J_kgK.sd": 8.0,
     }  # fmt: skip
-    short = replace(run, time_s=run.time_s[:closed], columns={n: v[:closed] for n, v in run.columns.items()})
+    short = run.at_rows(slice(closed))
     shares, halves = [], []
     for header in (run.header, run.header | stated):
         sensor, said = followed(replace(short, header=header))
@@ -376,7 +372,7 @@ def test_the_panel_alone_between_its_faces_doubts_its_start_as_the_header_does(p
     """Before heat has come so deep, the middle is as far off as the whole start is."""
     run, _ = pressing
     own = {} if stated is None else {"panel.initial_temperature_C.sd": stated}
-    sensor, _ = followed(first_scans(replace(run, header=run.header | own), 3))
+    sensor, _ = followed(replace(run, header=run.header | own).at_rows(slice(3)))
     _, variance = sensor._run.passes.current.between[0].core
     assert np.sqrt(variance) == pytest.approx(stated or np.hypot(0.3, 0.75), rel=1e-3)  # rounded, by its sensor
 
@@ -385,9 +381,7 @@ def test_the_panel_alone_between_its_faces_doubts_its_start_as_the_header_does(p
 def test_a_suspected_cause_counts_also_where_its_prior_is_as_narrow_as_its_absence(pressing, width):
     run, truth = pressing
     short = int(np.searchsorted(run.time_s, truth.moments.closed_s + 30.0))
-    sensor, _ = followed(
-        replace(run, time_s=run.time_s[:short], columns={n: v[:short] for n, v in run.columns.items()})
-    )
+    sensor, _ = followed(run.at_rows(slice(short)))
     one = sensor._run.passes.current.filters[0]
     assert len(one.hypotheses.width)
     one = replace(one, hypotheses=one.hypotheses._replace(width=np.full(len(one.hypotheses.width), width)))

@@ -18,7 +18,8 @@ from softsensor.diagnosis.missing_causes import (
 )
 from softsensor.effects import find_effect
 from softsensor.fitting.problem import minimise
-from softsensor.heat.model_file import model_text, parse_model
+from softsensor.heat.model_file import model_text
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.fitter import fit_one
 

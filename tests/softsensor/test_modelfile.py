@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq.records import InputError
-from softsensor.heat.model_file import FittedValue, ModelFile, PressedPanel, Scatter, model_text, parse_model
+from softsensor.heat.model_file import FittedValue, ModelFile, PressedPanel, Scatter, model_text
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.model_files import read_model
 
 MODEL = ModelFile(
@@ -55,22 +56,67 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
     ("change", "message"),
     [
         ({"coefficients": None}, "coefficients must be an object"),
-        ({"coefficients": {"h_wa": 12.0}}, r"coefficients\.h_wa = 12\.0: needs numbers value and sd"),
-        ({"coefficients": {"h_wa": {"value": "nan"}}}, r"coefficients\.h_wa\.value is not finite"),
-        ({"coefficients": {"h_wa": {"value": -3.0}}}, r"coefficients\.h_wa\.value = -3: must be above 0"),
+        ({"coefficients": {"h_wa": 12.0}}, r"coefficients\.h_wa = 12: needs numbers value and sd"),
+        (
+            {"coefficients": {"h_wa": {"value": "nan"}}},
+            r"coefficients\.h_wa = \{'value': 'nan'\}: needs numbers value and sd",
+        ),
+        (
+            {"coefficients": {"h_wa": {"value": -3.0}}},
+            r"coefficients\.h_wa\.value = -3: must be a number from 0\.001 to 1000000000 W/m²K",
+        ),
         ({"effects": [{"parameters": {}}]}, r"effects\.0 has no name"),
-        ({"effects": [{"name": "draft"}]}, "effect 'draft' is not in the catalogue"),
+        ({"effects": [{"name": "draft"}]}, "model.json: effect 'draft' is not in the catalogue"),
         (
             {"effects": [{"name": "edge_loss", "parameters": {"h": {"value": 1.0}}}]},
             r"effects\.0\.parameters\.h: edge_loss has W_m3K",
         ),
-        ({"panels": [{"thickness_mm": 16.0}]}, "panels is not as `fit` writes it"),
-        ({"panels": [{"thickness_mm": -16.0, "runs": 3}]}, "panels is not as `fit` writes it"),
-        ({"panels": 16.0}, "panels is not as `fit` writes it"),
-        ({"scatter": {"panel.thickness_mm": {"sd": -0.1, "runs": 3}}}, "scatter is not as `fit` writes it"),
+        (
+            {"coefficients": {"h_wa": {"value": 1e12, "sd": 1.0}}},
+            r"h_wa\.value = 1e\+12: must be a number from 0\.001 to 1000000000 W/m²K",
+        ),
+        ({"coefficients": {"h_wa": {"value": "12", "sd": 1.0}}}, r"h_wa = \{.*\}: needs numbers value and sd"),
+        ({"coefficients": {"h_wa": {"value": 12.0, "std": 1.0}}}, r"h_wa = \{.*\}: needs numbers value and sd"),
+        ({"coefficients": {"h_wa": {"value": 12.0, "sd": -1.0}}}, r"h_wa\.sd = -1: a standard deviation must be"),
+        ({"coefficients": {"h_wa": {"value": 12.0, "sd": float("nan")}}}, r"h_wa\.sd = nan: a standard deviation"),
+        ({"coeficients": {}}, "key 'coeficients' is not known; did you mean coefficients"),
+        (
+            {"effects": [{"name": "edge_loss", "parameter": {}}]},
+            "edge_loss has no size; give under parameters W_m3K",
+        ),
+        (
+            {"effects": 2 * [{"name": "edge_loss", "parameters": {"W_m3K": {"value": 1.0, "sd": 1.0}}}]},
+            r"effects\.1: edge_loss stands in effects twice",
+        ),
+        (
+            {"effects": [{"name": "edge_loss", "parameters": {"W_m3K": {"value": 70000.0, "sd": 1.0}}}]},
+            r"parameters\.W_m3K = 70000 \(edge_loss\) lies outside its limits 0 to 20000 W/m³K \(10 W/m²K over",
+        ),
+        ({"effects": {"name": "edge_loss"}}, "effects is not as fit, diagnose and the nightly job write it"),
+        ({"effects": None}, "effects is not as fit, diagnose and the nightly job write it"),
+        ({"panels": [{"thickness_mm": 16.0}]}, "panels is not as fit, diagnose and"),
+        ({"panels": [{"thickness_mm": -16.0, "runs": 3}]}, "panels is not as fit, diagnose and"),
+        ({"panels": 16.0}, "panels is not as fit, diagnose and"),
+        ({"covariance": 3}, "covariance is not as fit, diagnose and"),
+        (
+            {"covariance": {"names": ["h_wa"], "matrix": [[1.0, 2.0]]}},
+            "matrix is 1 x 2, and covariance.names has 1",
+        ),
+        ({"covariance": {"names": ["h_wa"], "matrix": [[float("nan")]]}}, "covariance of h_wa and h_wa = nan"),
+        ({"covariance": {"names": ["h_wa"], "matrix": [[-0.01]]}}, r"covariance of h_wa and h_wa = -0\.01"),
+        (
+            {"covariance": {"names": ["h_wa", "h_pp_c"], "matrix": [[0.01, 0.02], [0.02, 0.01]]}},
+            r"covariance of h_wa and h_pp_c = 0\.02: no covariance matrix has that there",
+        ),
+        (
+            {"covariance": {"names": ["h_zz"], "matrix": [[0.1]]}},
+            "names has h_zz, which the file gives no value of",
+        ),
+        ({"adequacy": {"runs": 3, "nothing": 7.0, "unexplained_K": 0.1, "causes": {}}}, "adequacy is not as fit"),
+        ({"scatter": {"panel.thickness_mm": {"sd": -0.1, "runs": 3}}}, "scatter is not as fit, diagnose and"),
         (
             {"scatter": {"panel.thickness_mm": {"sd": 0.1, "runs": 3, "panel": 0.2}}},
-            "scatter is not as `fit` writes",
+            "scatter is not as fit, diagnose and",
         ),
     ],
 )
@@ -86,6 +132,10 @@ def test_a_file_that_is_no_model_is_refused(tmp_path):
     path.write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match="not a JSON model file"):
         read_model(path)
+    for text, said in ((9000 * "[", "more than 16 deep"), ('{"coefficients": ' + 5000 * "1", "300 digits")):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=f"not a JSON model file: .*{said}"):
+            read_model(path)
     path.write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="key 'coefficients' is missing"):
         read_model(path)

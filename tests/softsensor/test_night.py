@@ -26,7 +26,8 @@ from daq.store.proved_file import sound_content
 from daq.supervision import unexpected
 from daq.words import say
 from daq.words.message import words
-from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs import cluster as cluster_of_workers
 from softsensor.jobs import night as nightly
 from softsensor.jobs import night_fits as nightly_fits
@@ -411,7 +412,7 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
         (nightly_judge._Core(0.5, float("nan"), True), "the core is valid in fewer scans"),
         (nightly_judge._Core(0.5, float("nan"), False), "the core gets worse"),
         (nightly_judge._Core(0.5, 0.6, False), "the core gets worse"),
-        (nightly_judge._Core(0.5, 0.3, False), "core 0.50 -> 0.30 K live"),
+        (nightly_judge._Core(0.5, 0.3, False), "core from 0.50 to 0.30 K live"),
     ],
 )
 def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
@@ -437,10 +438,10 @@ def test_what_moves_with_the_press_does_not_promote_a_model(monkeypatch):
 
     moved = found({"rmse_K": 2.0, "rmse_still_K": 0.3}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
     assert not moved.better
-    assert "single sensors while nothing moves, own contacts fitted, 0.300 -> 0.300 K" in str(moved.reason)
+    assert "single sensors while nothing moves, own contacts fitted, from 0.300 to 0.300 K" in str(moved.reason)
     older = found({"rmse_K": 2.0}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
     assert older.better
-    assert "single sensors, own contacts fitted, 2.000 -> 0.500 K" in str(older.reason)
+    assert "single sensors, own contacts fitted, from 2.000 to 0.500 K" in str(older.reason)
     unknown = found({"rmse_K": None}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
     assert not unknown.better
 
@@ -533,7 +534,7 @@ def test_a_hidden_cause_is_named_and_the_better_model_promoted(store):
     said = r"heat lost at the rim: .* on 12 runs of the diagnosis, predictions .* K off"
     assert re.match(said, str(outcome.reason))
     german = words(outcome.reason, "de")
-    assert re.match(r"Wärmeverlust am Rand: .* 12 Pressungen der Diagnose, Vorhersagen \d+,\d\d ", german)
+    assert re.match(r"Wärmeverlust am Rand: .* 12 Pressungen der Diagnose, Vorhersagen von \d+,\d\d ", german)
     assert "edge_loss" not in german
     assert store.active_model("lab").model["effects"][0]["name"] == "edge_loss"
 
@@ -566,6 +567,7 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     assert re.sub(when, "", kept) == re.sub(when, "", drawn)
     store.put_diagnosis("lab", RIM)
     page = write_report(night_record(store, outcome), tmp_path / "reports").read_text(encoding="utf-8")
+    page = page.replace("\N{NO-BREAK SPACE}", " ")
     assert f"Model {outcome.version} was promoted" in page
     assert "3 of 3 runs fitted, 0 could not be." in page
     assert all(run.name in page for run in runs[:3])
@@ -575,9 +577,9 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
         "<b>heat lost at the rim</b>: lowers the residual by 0.48 K on runs left out, in the mean over the runs."
         in page
     )
-    assert re.search(r'title="W_m3K">heat lost at the rim, [^<]*: <b>11000</b> W/m³K', page)
+    assert re.search(r'title="W_m3K">heat lost at the rim, [^<]*: <b>11000</b>&nbsp;W/m³K', page)
     assert not re.search(r"\d\.?\de[+-]\d\d", page)  # 110, not 1.1e+02
-    german = night_report(night_record(store, outcome), "de")
+    german = night_report(night_record(store, outcome), "de").replace("\N{NO-BREAK SPACE}", " ")
     assert f"Modell {outcome.version} wurde in Kraft gesetzt" in german
     assert "<b>Ursache benannt</b>" in german
     assert re.search(r">\d+,\d+</td>", german)  # a small coefficient's spread, say
@@ -585,6 +587,18 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     assert not re.search(r"\d\.\d", own)
     assert not any(re.search(r"\d\.\d", label) for label in AXIS_LABEL.findall(german))
     assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
+
+
+def test_a_run_the_model_does_not_describe_is_marked_in_the_page_of_the_night(store, runs):
+    fill(store, runs[:2])
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K")).to_json()
+    fit = store.fit(runs[0].name)
+    store.put_fit(runs[0].name, {**fit, "rmse_K": 9.0, "warnings_said": [warned]}, "press file")
+    german = night_report(night_record(store, outcome), "de")
+    assert german.count("vom Modell nicht beschrieben") == 1
+    assert "9,00\u00a0K, vom Modell nicht beschrieben" in german.replace("9,00 K", "9,00\u00a0K")
+    assert "press file" not in german
 
 
 def test_a_folder_that_cannot_be_written_is_named(store, runs, tmp_path):

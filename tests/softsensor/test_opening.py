@@ -245,6 +245,15 @@ def test_a_window_that_never_opens_names_what_blocks_it():
     assert (found.blocking, found.risk) == ("steam_most", pytest.approx(0.7))
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_limits_broken_for_certain_are_told_apart_by_how_far(order):
+    sure = np.ones(2)
+    names = ["core_least", "core_most"][::order]
+    beyond = {"core_least": np.array([40.0, 30.0]), "core_most": np.array([20.0, 50.0])}
+    found = opening(np.array([0.0, 4.0]), Broken(dict.fromkeys(names, sure), 0.0, beyond), 0.975)
+    assert (found.blocking, found.risk, found.beyond) == ("core_least", 1.0, 40.0)
+
+
 @pytest.mark.parametrize("file", sorted(RESINS.glob("*.toml")), ids=lambda f: f.stem)
 def test_examples_say_that_they_are_examples_and_where_from(file):
     resin = read_resin(file)

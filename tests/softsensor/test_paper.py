@@ -51,6 +51,31 @@ def test_adaptive_solver_and_exact_one_agree_on_temperatures_and_slopes(measured
         assert np.abs(slopes[:, :, i] - expected).max() < 0.02 * np.abs(expected).max() + 0.02, name
 
 
+def test_both_solvers_agree_on_a_run_that_is_cut_before_the_press_opens_or_closes(measured):
+    run, truth = measured
+    names = MODEL.press.coefficient_names
+    h = np.array([truth.coefficients[n] for n in names])
+    for until_s in (truth.moments.opened_s - 3.0, truth.moments.closed_s - 3.0):
+        cut = run.at_rows(np.flatnonzero(run.time_s < until_s))
+        moments = replace(truth.moments, opened_s=np.nan, removed_s=np.nan)
+        if until_s < truth.moments.closed_s:
+            moments = replace(moments, closed_s=np.nan)
+        case = MODEL.prepare(cut, moments)
+        adaptive, _ = lines_of(MODEL, case, names, ("panel.top", "panel.bottom")).solve(h, sensitivities=False)
+        exact = MODEL.solve(case, truth.coefficients, names)
+        columns = [exact.columns.index(c) for c in ("top_1", "bottom_1")]
+        assert np.sqrt(np.mean((adaptive - exact.sensors[:, columns]) ** 2)) < 0.1
+
+
+def test_a_boundary_that_is_not_measured_is_refused_by_the_papers_solver(measured):
+    run, truth = measured
+    text = press_toml().replace('kind = "measured"\ncolumn = "platen_top"', 'kind = "insulated"')
+    model = ThermalModel.of(parse_press(text))
+    case = model.prepare(run, truth.moments)
+    with pytest.raises(InputError, match=r"boundary\.top is insulated"):
+        lines_of(model, case, model.press.coefficient_names, ("panel.top",))
+
+
 def test_all_of_the_papers_methods_end_at_the_same_coefficients(measured):
     run, truth = measured
     found = [fit_as_paper(MODEL, run, truth.moments, method).values for method in METHODS]
@@ -77,7 +102,7 @@ def test_papers_method_takes_its_verdicts_from_the_run():
     plan = Plan(rate_hz=2.0, thickness_mm=16.0, open_before_s=(15.0, 20.0), start_before_s=0.0, closed_column=True)
     run, truth = make_campaign(11, 1, plan=plan)[0]
     keep = run.time_s < truth.moments.closed_s - 1.0
-    short = replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()})
+    short = run.at_rows(keep)
     fitted = fit_run(MODEL, short, moments_of(short, MODEL.press), method="least_squares")
     assert fitted.coefficients["h_pp_c"].verdict == "not identifiable"
     assert "while the press is closed" in str(fitted.coefficients["h_pp_c"].reason)

@@ -14,7 +14,7 @@ from daq.words.message import Message, catalogue_of, languages
 from softsensor.fitting.core import fitted_core
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.report import fit_report_runs
-from softsensor.report.fit_figures import coefficients_figure, core_figure, fitted_run_figure, svg
+from softsensor.report.fit_figures import coefficients_figure, core_figure, fitted_run_figure, sheet, svg
 from softsensor.report.fit_report import fit_report
 
 
@@ -92,9 +92,15 @@ def test_a_bootstrap_is_told_from_four_runs_on_and_digits_follow_the_interval(ca
     name = next(name for name, c in campaign.coefficients.items() if c.runs == 3)
     wide = replace(campaign.coefficients[name], mean=643.27, ci95=(557.31, 729.23), runs=4)
     page = fit_report(replace(campaign, coefficients={**campaign.coefficients, name: wide}))
-    assert "95 % (bootstrap)" in page
+    assert "95\N{NO-BREAK SPACE}% (bootstrap)" in page
     assert f"<td>{name}</td><td><b>643</b></td>" in page
     assert "<td>557 – 729</td>" in page
+
+
+def test_no_line_of_a_report_ends_between_a_number_and_its_unit(campaign):
+    page = re.sub(r"<(style|svg)\b.*?</\1>", "", fit_report(campaign), flags=re.DOTALL)
+    assert len(re.findall(r"\d\N{NO-BREAK SPACE}(?:K|s|%)(?!\w)", page)) > 20
+    assert re.findall(r">[^<]*\d (?:K|s|%|°C|mm)(?!\w)[^<]*<", page) == []
 
 
 def test_ink_shows_on_every_colour_of_the_correlations():
@@ -135,11 +141,21 @@ def test_the_page_draws_the_core_with_its_band_and_what_was_measured_there(campa
     own = [say[code].strip() for code in ("figure-core-band", "figure-core-by-fit", "figure-core-measured")]
     assert legends == [own, own[:2], own[:2]]
     page = fit_report(campaign, language=language)
-    shown = [f for f in campaign.runs if svg(core_figure(f, fitted_core(f), language), language) in page]
+    shown = [f for f in campaign.runs if svg(core_figure(f, fitted_core(f), language)) in page]
     assert len(shown) == 2  # the typical one and the worst
-    assert say["report-legend-core"].strip() in page.replace("&#39;", "'")
+    assert say["report-legend-core"].strip() in page.replace("&#39;", "'").replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_a_run_the_model_does_not_describe_has_no_core_to_believe(campaign):
     lost = replace(campaign.runs[0], misfit=Message("fit-misfit-span", {"rmse": 9.0, "span": 90.0}))
     assert fitted_core(lost) is None
+
+
+@pytest.mark.parametrize(("language", "tick"), [("de", "0,5"), ("en", "0.5")])
+def test_a_figure_has_the_decimal_sign_of_the_language_it_is_made_in(language, tick):
+    with sheet((3.0, 2.0), language) as figure:
+        ax = figure.subplots()
+        ax.plot([0.0, 1.0], [0.0, 1.0])
+        ax.yaxis.set_major_formatter("{x:g}")
+    for axis in (ax.xaxis, ax.yaxis):
+        assert axis.get_major_formatter().format_ticks([0.0, 0.5])[1] == tick

@@ -13,7 +13,7 @@ from softsensor.signals.digest import digest_run
 from softsensor.signals.moments import moments_of
 from softsensor.signals.places import collect_signals
 from softsensor.signals.robust import nan_median, robust_sd
-from softsensor.signals.screen import FaultKind, faulty_channels
+from softsensor.signals.screen import ChannelFault, FaultKind, faulty_channels, recurring
 
 PRESS = parse_press(press_toml())
 
@@ -51,8 +51,9 @@ def test_two_channels_that_fall_behind_alike_are_a_pattern_over_the_face(measure
     assert found(spoiled(measured, top_6=c["top_6"] - behind)) == {"top_6": FaultKind.LOOSE}
 
 
-def test_a_channel_that_leaves_its_face_along_a_line_drifts(measured):
-    drift = np.clip(measured.time_s - 30.0, 0.0, None) * 0.3
+@pytest.mark.parametrize("begins_s", [30.0, 60.0])
+def test_a_channel_that_leaves_its_face_along_a_line_drifts(measured, begins_s):
+    drift = np.clip(measured.time_s - begins_s, 0.0, None) * 0.3
     assert found(spoiled(measured, bottom_3=measured.columns["bottom_3"] + drift)) == {
         "bottom_3": FaultKind.DRIFTING
     }
@@ -73,3 +74,12 @@ def test_normal_values_have_their_standard_deviation_by_their_median_too_and_wil
     values[:, :100], values[0, 100:200] = 1e6, np.nan
     assert robust_sd(values) == pytest.approx([0.3, 0.3], rel=0.03)
     assert np.isnan(robust_sd(np.full((1, 3), np.nan)))
+
+
+def test_a_channel_faulty_in_half_of_the_runs_is_faulty_for_the_campaign_as_what_it_mostly_was():
+    loose, drifting = (ChannelFault("top_1", kind, 3.0) for kind in (FaultKind.LOOSE, FaultKind.DRIFTING))
+    once = ChannelFault("top_2", FaultKind.LOOSE, 3.0)
+    assert recurring([(loose, once), (drifting,), (loose,), (), ()]) == {"top_1": FaultKind.LOOSE}
+    assert recurring([(once,), ()]) == {"top_2": FaultKind.LOOSE}
+    assert recurring([(once,), (), ()]) == {}  # once is no habit
+    assert recurring([]) == {}

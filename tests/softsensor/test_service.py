@@ -26,15 +26,18 @@ from daq.records import Channel, PressState, Quality, Run, Scan
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store, results
+from daq.supervision import RESTART_S
+from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.fitter import Fitter
+from softsensor.jobs.guarded import Guarded
 from softsensor.jobs.live_service import Follower, _details
 from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
 from softsensor.jobs.run_fits import RunFits
 from softsensor.live.sensor import LiveSensor
 from softsensor.live.validity import InvalidReason
 from tests.daq.test_kills import is_zombie
-from tests.daq.test_recorder import wait_until
+from tests.patience import wait_until
 from tests.softsensor.test_night import configured
 
 PRESS = parse_press(press_toml())
@@ -43,7 +46,6 @@ PLAN = Plan(
     press_time_s=(30.0, 40.0), open_before_s=(6.0, 8.0), open_after_s=(25.0, 30.0),
 )  # fmt: skip
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
-DEADLINE_S = 240.0
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +124,17 @@ def drain(sense):
     sense.step(now + 2.0)
 
 
+def fitted(store, sense, run):
+    """Wait for the fit of a whole run, whatever the sensor's own store refuses."""
+
+    def marked():
+        with suppress(StoreUnavailable):
+            drain(sense)
+        return "fingerprint" in (store.fit(run) or {})
+
+    wait_until(marked, f"no fit of {run}")
+
+
 def follow(store, fitter, recorder, chunk=20, restart_at=None):
     sense = follower(store, fitter)
     while not recorder.finished:
@@ -156,15 +169,11 @@ def test_every_scan_of_a_pressing_gets_its_estimate_and_the_pressing_its_fit(sto
     ]
     assert len(errors) > 40
     assert np.sqrt(np.mean(np.square(errors))) < 1.0
-    deadline = time.monotonic() + DEADLINE_S
-    while store.fit(record.run) is None and time.monotonic() < deadline:
-        drain(sense)
+    wait_until(lambda: drain(sense) or store.fit(record.run))
     fit = store.fit(record.run)
-    assert fit is not None
     assert set(fit["coefficients"]) == set(PRESS.coefficient_names)
     assert fit["model_version"] == PRESS_FILE
     drain(sense)
-    assert sense.model is not None
     assert sense.model.version == f"{PRESS_FILE}+1"
 
 
@@ -178,9 +187,7 @@ def test_a_pressing_is_refitted_when_the_press_opens_not_only_when_the_panel_is_
         if record is not None and np.isfinite(record.moments.opened_s):
             break
     run = store.open_run("lab").run
-    deadline = time.monotonic() + DEADLINE_S
-    while store.fit(run) is None and time.monotonic() < deadline:
-        drain(sense)
+    wait_until(lambda: drain(sense) or store.fit(run))
     assert store.fit(run)["coefficients"]["h_pp_c"]["value"] > 0.0
     assert store.open_run("lab").run == run
     assert "fingerprint" not in store.fit(run)  # the night or the run's end looks at all of it
@@ -284,9 +291,9 @@ def test_looking_for_a_new_model_takes_no_longer_however_many_fits_of_other_pres
         with store.database.writing() as connection:
             for run in runs:
                 results.put_fit(connection, run.name, {"coefficients": {}})
-        sense._refresh_model()
+        sense.model.refresh()
         steps.clear()
-        sense._refresh_model()
+        sense.model.refresh()
         taken.append(len(steps))
     assert 0 < taken[1] <= taken[0] + 2
 
@@ -417,11 +424,7 @@ def test_a_store_that_refuses_now_and_then_changes_no_estimate(tmp_path, fitter,
             said_to.append(said(opened))
             if moody:
                 assert sense.store.refusals > 3
-            wait = time.monotonic() + DEADLINE_S
-            while "fingerprint" not in (opened.fit(opened.runs().items[0].run) or {}):
-                assert time.monotonic() < wait, "a fit was lost"
-                with suppress(StoreUnavailable):
-                    drain(sense)
+            fitted(opened, sense, opened.runs().items[0].run)
     assert len(said_to[0]) > 100
     assert repr(said_to[1]) == repr(said_to[0])
 
@@ -443,10 +446,7 @@ def test_a_pressing_that_ended_while_the_process_was_away_gets_all_its_estimates
             record = opened.runs().items[0]
             said_to.append(said(opened)[: record.last_scan - record.first_scan + 1])
             assert len(said_to[-1]) == record.last_scan - record.first_scan + 1
-            wait = time.monotonic() + DEADLINE_S
-            while opened.fit(record.run) is None and time.monotonic() < wait:
-                drain(sense)
-            assert opened.fit(record.run) is not None
+            wait_until(lambda sense=sense, run=record.run: drain(sense) or opened.fit(run))
     assert repr(said_to[1]) == repr(said_to[0])
 
 
@@ -566,10 +566,7 @@ def test_a_pressing_whose_fit_a_kill_prevented_is_fitted_after_the_restart(store
     assert store.last_scan_followed("lab") >= record.last_scan
     with Fitter() as fitter:
         sense = follower(store, fitter)
-        wait = time.monotonic() + DEADLINE_S
-        while "fingerprint" not in (store.fit(record.run) or {}):
-            assert time.monotonic() < wait, "the pressing was left without a fit"
-            drain(sense)
+        fitted(store, sense, record.run)
     again = follower(store, Deaf())
     drain(again)
     assert not again.fits._under_way, "what is fitted is not fitted anew at each start"
@@ -636,13 +633,6 @@ class Poison:
         return kill_here, ()
 
 
-def fitted(store, sense, run):
-    wait = time.monotonic() + DEADLINE_S
-    while "fingerprint" not in (store.fit(run) or {}):
-        assert time.monotonic() < wait, f"no fit of {run}"
-        drain(sense)
-
-
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 def test_a_fit_whose_worker_is_killed_is_made_by_another(store, pressing):
     run, _ = pressing
@@ -695,3 +685,252 @@ def test_a_fit_that_kills_every_worker_ends_in_an_alarm_and_the_live_sensor_goes
         assert len(store.estimates(record.run)) > 100
     (alarm,) = [entry for entry in store.journal(level="alarm").items]
     assert (alarm.message.code, alarm.message.arguments["run"]) == ("run-fit-killed", "poisonous")
+
+
+def guarded_lab(store, fitter):
+    fits = RunFits(store, "lab", PRESS, fitter)
+    return Guarded(lambda: replace(follower(store, fitter), fits=fits))
+
+
+def follow_guarded(guarded, recorder, until=None, chunk=20, now=0.0):
+    """Let a guarded press follow a run; each fault has time to be tried again."""
+    while not recorder.finished and (until is None or recorder.done < until):
+        recorder.put(chunk)
+        for _ in range(20):
+            now += 1.0 + RESTART_S
+            guarded.step(now)
+    return now
+
+
+def alarms(store):
+    return [words(entry.message) for entry in store.journal(level="alarm", limit=500).items]
+
+
+OUR_FAULT = "press lab: unexpected fault (ZeroDivisionError: a fault of ours); please report it"
+POISONED = 60
+"""A scan of the pressing, in the closed press."""
+
+
+@pytest.fixture
+def breaking(monkeypatch, pressing):
+    """Where the sensor breaks: at one scan; at all from it on where it was begun before; nowhere."""
+    update, where, at = LiveSensor.update, {"scan": POISONED, "for_good": False}, []
+
+    def breaks(sensor, time_s, values):
+        begun = vars(sensor).setdefault("begun", time_s)
+        reached = where["scan"] is not None and values["top_1"] == pressing[0].columns["top_1"][where["scan"]]
+        at.extend([time_s] if reached and not at else [])
+        if reached or (where["for_good"] and at and begun < at[0] <= time_s):
+            raise ZeroDivisionError("a fault of ours")
+        return update(sensor, time_s, values)
+
+    monkeypatch.setattr(LiveSensor, "update", breaks)
+    return where
+
+
+def test_a_fault_of_one_presss_sensor_is_told_once_and_it_begins_anew(store, fitter, pressing, breaking):
+    recorder, guarded = Recorder(store, pressing[0]), guarded_lab(store, fitter)
+    recorder.put(POISONED + 2)
+    guarded.step(0.0)
+    guarded.step(0.5 * RESTART_S)
+    assert words(guarded.problem) == OUR_FAULT
+    breaking["scan"] = None
+    follow_guarded(guarded, recorder, now=1.0)
+    assert alarms(store) == [OUR_FAULT]
+    assert guarded.problem is None
+    record = store.runs().items[0]
+    assert len(said(store)) == record.last_scan - record.first_scan + 1
+    assert all(reason != InvalidReason.CALCULATION_FAILED for reason in reasons(store, record.run))
+
+
+def reasons(store, run):
+    return [estimate.reason for _, estimate in store.estimates(run)]
+
+
+def followed_through_a_fault(store, fitter, run, taken):
+    """Let a guarded press follow a run in which its sensor fails; return the run's record."""
+    recorder, guarded = Recorder(store, run), guarded_lab(store, fitter)
+    now = follow_guarded(guarded, recorder, POISONED + 60)
+    assert guarded.problem is None, "while the run is still open"
+    assert taken("lab") == store.newest_scan_number("lab")
+    follow_guarded(guarded, recorder, now=now)
+    assert alarms(store) == [OUR_FAULT]
+    return store.runs().items[0]
+
+
+def test_a_scan_at_which_the_sensor_always_fails_costs_its_own_estimate_alone(store, fitter, pressing, breaking):
+    record = followed_through_a_fault(store, fitter, pressing[0], store.last_scan_followed)
+    assert len(said(store)) == record.last_scan - record.first_scan + 1
+    assert reasons(store, record.run).count(InvalidReason.CALCULATION_FAILED) == 2, "two read the same"
+    assert sum(state == str(PressState.CLOSED) and valid for _, state, *_, valid in said(store)) > 40
+
+
+def test_a_sensor_that_fails_at_every_scan_from_one_on_begins_with_those_that_come(
+    store, fitter, pressing, breaking
+):
+    breaking["for_good"] = True
+    run, truth = pressing
+    record = followed_through_a_fault(store, fitter, run, store.newest_estimate_number)
+    assert len(said(store)) > record.last_scan - record.first_scan - 40
+    late = [row for row in said(store) if row[0] > run.time_s[POISONED + 20]]
+    assert len(late) > 40
+    for t, state, _, low, high, valid in late:
+        core = np.interp(t, run.time_s[: len(truth.core_C)], truth.core_C)
+        assert not valid or state == str(PressState.IDLE) or low < core < high, "it has not seen the panel come"
+
+
+class Sometimes:
+    """A store that is away for what is named, while it is."""
+
+    def __init__(self, store):
+        self.store, self.away = store, set()
+
+    def __getattr__(self, name):
+        if name in self.away:
+            raise StoreUnavailable("away")
+        return getattr(self.store, name)
+
+
+def test_a_fault_while_the_store_is_away_is_told_when_it_is_back(store, fitter, pressing, breaking):
+    sometimes = Sometimes(store)
+    recorder, guarded = Recorder(store, pressing[0]), guarded_lab(sometimes, fitter)
+    recorder.put(POISONED + 2)
+    sometimes.away = {"log"}
+    for now in (0.0, 10.0):
+        with suppress(StoreUnavailable):
+            guarded.step(now)
+    assert alarms(store) == []
+    breaking["scan"], sometimes.away = None, set()
+    follow_guarded(guarded, recorder, now=100.0)
+    assert alarms(store) == [OUR_FAULT]
+
+
+def test_no_scan_goes_through_the_sensor_twice_because_the_journal_was_away(store, fitter, pressing, monkeypatch):
+    run, _ = pressing
+    update, newest, twice = LiveSensor.update, {}, []
+
+    def taking(sensor, time_s, values):
+        if newest.get(sensor, -1e9) >= time_s:
+            twice.append(time_s)
+        newest[sensor] = time_s
+        return update(sensor, time_s, values)
+
+    monkeypatch.setattr(LiveSensor, "update", taking)
+    loose = run.columns["top_1"].copy()
+    loose[POISONED:] -= 60.0
+    sometimes = Sometimes(store)
+    recorder = Recorder(store, replace(run, columns=run.columns | {"top_1": loose}))
+    guarded = guarded_lab(sometimes, fitter)
+    now = 0.0
+    while not recorder.finished:
+        recorder.put(5)
+        sometimes.away = {"log"} if recorder.done < POISONED + 60 else set()
+        for _ in range(5):
+            now += 1.0
+            with suppress(StoreUnavailable):
+                guarded.step(now)
+    codes = [entry.message.code for entry in store.journal(level="warning").items]
+    assert codes.count("channel-departs") == 1
+    assert not twice
+
+
+def test_a_model_in_force_that_cannot_be_taken_costs_no_estimate_and_is_told_once(store, fitter, pressing):
+    recorder, guarded = Recorder(store, pressing[0]), guarded_lab(store, fitter)
+    store.put_model("lab", "from-later", {"version": "from-later", "effects": [{"name": "not known yet"}]})
+    store.promote_model("from-later", "test")
+    now = follow_guarded(guarded, recorder, POISONED)
+    assert len(said(store)) > POISONED // 2
+    assert guarded.problem.code == "sense-model-not-taken"
+    assert [entry.message.code for entry in store.journal(level="alarm").items] == ["sense-model-not-taken"]
+    sound = ModelFile("sound", "lab", {n: FittedValue(c.guess, 1.0) for n, c in PRESS.coefficients.items()})
+    store.put_model("lab", "sound", sound.as_json())
+    store.promote_model("sound", "test")
+    guarded.step(now + 10.0)
+    assert guarded.problem is None
+    assert guarded.follower.model.version == "sound"
+
+
+class Asked:
+    """A worker that is asked for fits and never ends one."""
+
+    def __init__(self):
+        self.runs, self.replaced = [], frozenset()
+
+    def submit(self, press, run, model):
+        self.runs.append(run.name)
+        return Future()
+
+
+def test_a_fit_under_way_is_not_made_a_second_time_when_the_sensor_begins_anew(store, pressing):
+    follow(store, Asked(), Recorder(store, pressing[0]))
+    (record,) = store.runs().items
+    asked = Asked()
+    guarded = guarded_lab(store, asked)
+    guarded.step(0.0)
+    assert asked.runs == [record.run], "it was left by a process that was killed"
+    guarded._failed(ZeroDivisionError("a fault of ours"))
+    for now in (1e6, 2e6):
+        guarded.step(now)
+    assert asked.runs == [record.run]
+    assert not guarded.follower.fits._due
+
+
+def test_a_run_that_cannot_be_read_has_no_fit_which_is_told_once_and_the_sensor_goes_on(store, pressing):
+    asked = Asked()
+    guarded = guarded_lab(store, asked)
+    recorder = Recorder(store, pressing[0])
+    follow_guarded(guarded, recorder, POISONED + 20)
+    poison(store, store.open_run("lab").first_scan + POISONED)
+    follow_guarded(guarded, recorder, now=1e6)
+    assert not asked.runs
+    told = store.journal(level="alarm").items
+    assert {entry.message.code for entry in told} == {"run-not-fitted"}
+    assert len(told) <= 2, "as the press opens, and as the panel has left"
+    assert store.newest_estimate_number("lab") >= store.newest_scan_number("lab") - 1
+    again = guarded_lab(store, asked)
+    again.step(1e7)
+    assert len(store.journal(level="alarm").items) == len(told)
+
+
+def poison(store, number):
+    """Damage what is stored of a scan, so that nobody can read it."""
+    with store.database.writing() as connection:
+        connection.exec_driver_sql(f"UPDATE scan SET readings = '[1' WHERE number = {number}")
+
+
+def fault_kinds(store):
+    told = [entry.message for entry in store.journal(level="alarm").items]
+    return [one.arguments["what"].arguments["kind"] for one in told if one.code == "of-press"]
+
+
+POISON = """CREATE TRIGGER poison AFTER INSERT ON scan WHEN NEW.number = {number} BEGIN
+UPDATE scan SET readings = '[1' WHERE number = NEW.number; END"""
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["running", "begun"])
+def test_the_real_process_passes_over_a_scan_that_cannot_be_read(tmp_path, pressing, begun):
+    configured(tmp_path)
+    command = [sys.executable, "-m", "api", "sense", "--config", str(tmp_path / "kerntemp.toml")]
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        recorder = Recorder(store, pressing[0])
+        recorder.put(40)
+        bad = store.newest_scan_number("lab") + (0 if begun else 1)
+        if begun:
+            poison(store, bad)
+        else:
+            with store.database.writing() as connection:
+                connection.exec_driver_sql(POISON.format(number=bad))
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as sensing:
+            try:
+                wait_until(lambda: alarms(store) if begun else store.newest_estimate_number("lab") == bad - 1)
+                while not recorder.finished and store.newest_estimate_number("lab") <= bad:
+                    recorder.put(1)
+                    time.sleep(0.2)
+                assert store.open_run("lab"), "while the run is still open"
+                wait_until(lambda: "Error" not in store.statuses()["sense"].status["message"], 60.0)
+                told = fault_kinds(store)
+                assert 1 <= len(told) == len(set(told)) <= 2, "as it is read alone or among others"
+            finally:
+                sensing.terminate()
+                sensing.communicate()
+            assert sensing.returncode == 0

@@ -14,7 +14,8 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics_pressing import Plates
 from daq.store import open_store
-from softsensor.heat.model_file import FittedValue, ModelFile, Sisters, SisterScatter, parse_model
+from softsensor.heat.model_file import FittedValue, ModelFile, Sisters, SisterScatter
+from softsensor.heat.model_reading import parse_model
 from softsensor.jobs import night_judgement
 from softsensor.jobs.live_service import Follower
 from softsensor.jobs.model_in_force import fingerprint, up_to_date
@@ -74,7 +75,7 @@ def test_own_pressings_count_beside_the_kind_as_their_scatter_says():
     broken = kind.as_json() | {
         "sisters": {"presses": ["left"], "scatter": {CONTACT: {"between": 0.0, "within": 1.0}}}
     }
-    with pytest.raises(InputError, match=r"broken: sisters is not as the nightly job writes it"):
+    with pytest.raises(InputError, match=r"broken: sisters is not as fit, diagnose and the nightly job write it"):
         parse_model(broken, "broken")
 
 
@@ -142,9 +143,9 @@ def test_the_live_sensor_begins_with_sisters_unless_its_press_is_not_to(store):
     for name, learns in (("alone", False), ("new", True)):
         settings = PressSettings(name=name, file="press.toml", logger=(logger,), sisters=learns)
         sense = Follower(store, settings, PRESS, RunFits(store, name, PRESS, None))
-        sense._refresh_model()
-        assert (sense.model is not None) == learns
-    assert sense.model.sisters.presses == ("a", "b")
+        sense.model.refresh()
+        assert (sense.model.file is not None) == learns
+    assert sense.model.file.sisters.presses == ("a", "b")
 
 
 @pytest.mark.parametrize(("known", "promoted"), [(Sisters(("a", "b"), {}), True), (None, False)])

@@ -205,6 +205,15 @@ def test_a_number_that_is_none_is_told_in_words_in_every_sentence(language, numb
         assert "NUMBER" not in said, (code, said)
 
 
+@pytest.mark.parametrize("number", [1e300, -1e25, 10**400], ids=["1e300", "-1e25", "10**400"])
+@pytest.mark.parametrize("language", languages())
+def test_every_sentence_can_be_said_of_a_number_of_any_size(language, number):
+    for code, entry in patterns(language).items():
+        said = words(Message(code, dict.fromkeys(variables(entry), number)), language)
+        assert said, code
+    assert words(say("list-of-names", names=(1e300, 10**400, -2.5e30)), language) == "1e+300, 1e+400, -2.5e+30"
+
+
 def test_a_number_that_is_none_goes_into_json_as_the_words_for_it():
     message = Message("plain-text", {"text": float("nan")})
     assert words(message, "en") == "not known"
@@ -282,3 +291,9 @@ def test_a_silence_is_told_as_people_put_it(language):
     )
     assert "1 h 13 min" in said
     assert "4399" not in said
+
+
+@pytest.mark.parametrize("language", languages())
+def test_nought_is_written_0_as_any_other_whole_number(language):
+    assert words(say("report-number", value=0.0), language) == "0"
+    assert words(say("report-span", low=0.0, high=2700.0), language) == "0 – 2700"

@@ -11,10 +11,19 @@ from api.answers.health import NEVER_SEEN, standing_alarms
 from api.answers.records import utc_now
 from api.answers.schemas import Alarm, AlarmLimits, AlarmList, AlarmThresholds, AlarmThresholdsList
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import MAX_PAGE, Cursor, PageSize, PressName, StoreDep, Writer, existing_press
+from api.http.routes.common import (
+    MAX_PAGE,
+    Cursor,
+    PageSize,
+    PressesDep,
+    PressName,
+    StoreDep,
+    Writer,
+    existing_press,
+)
 from daq.records import InputError
 from daq.store.store import Store
-from daq.words import say
+from daq.words import Message, say
 
 router = APIRouter(tags=["alarms"], responses=problem_responses(404))
 
@@ -34,8 +43,8 @@ def list_alarms(
     return AlarmList(items=shown, next_cursor=page.next_cursor)
 
 
-def _raised_now(store: Store) -> set[str]:
-    """Return the keys of what stands now, by the same look as `/health`; what nobody has raised yet is raised."""
+def _raised_now(store: Store) -> dict[str, Message]:
+    """Return what stands now by its key, by the same look as `/health`; what nobody has raised yet is raised."""
     now = utc_now()
     standing = standing_alarms(store, now)
     due = [alarm for alarm in standing if alarm.message.code != NEVER_SEEN]
@@ -43,15 +52,14 @@ def _raised_now(store: Store) -> set[str]:
     known = {alarm.key for alarm in pending if alarm.ended_utc is None}
     if not known.issuperset(alarm.key for alarm in due):
         store.watch_alarms(due, (), now)
-    return {alarm.key for alarm in standing}
+    return {alarm.key: alarm.message for alarm in standing}
 
 
 @router.get("/alarms/thresholds", operation_id="list_thresholds", summary="The limits set for each press")
-def list_thresholds(store: StoreDep, press: PressName = None) -> AlarmThresholdsList:
+def list_thresholds(store: StoreDep, presses: PressesDep) -> AlarmThresholdsList:
     """Return the limits of every press, who set them last and when; null where there is no limit."""
     kept = store.alarm_thresholds()
-    chosen = [name for name in store.presses() if press in (None, name)]
-    return AlarmThresholdsList(items=[thresholds_of(name, kept.get(name)) for name in chosen])
+    return AlarmThresholdsList(items=[thresholds_of(name, kept.get(name)) for name in presses])
 
 
 @router.put("/alarms/thresholds/{press}", operation_id="put_thresholds", summary="Set the limits of a press")

@@ -24,12 +24,20 @@ MAX_PAGE = 500
 """Items in one page: some 100 kB, written within some 0.1 s."""
 
 
+PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
+
+
 def get_store(request: Request) -> Store:
     """Return the store this application serves."""
     store = request.app.state.store
     if not isinstance(store, Store):
         raise TypeError("the application was made without a store")
     return store
+
+
+def get_presses(request: Request, press: PressName = None) -> Mapping[str, str]:
+    """Return the press files by name: of one press, or of all."""
+    return {name: text for name, text in get_store(request).presses().items() if press in (None, name)}
 
 
 def get_resins(request: Request) -> Mapping[str, Path]:
@@ -78,6 +86,7 @@ def _queries_of(dependant: Dependant) -> Iterator[str]:
 Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
 """Any text but control characters, which no database keeps and no reader sees; lines and tabs may be."""
 StoreDep = Annotated[Store, Depends(get_store)]
+PressesDep = Annotated[Mapping[str, str], Depends(get_presses)]
 ResinsDep = Annotated[Mapping[str, Path], Depends(get_resins)]
 HeadersDep = Annotated[Mapping[str, Mapping[str, Any]], Depends(get_headers)]
 Writer = Annotated[str, Depends(get_writer)]
@@ -89,7 +98,6 @@ Cursor = Annotated[
 ]
 Since = Annotated[datetime | None, Query(alias="from", description="Started at or after this instant.")]
 Until = Annotated[datetime | None, Query(alias="to", description="Started before this instant.")]
-PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
 
 
 @dataclass(frozen=True)

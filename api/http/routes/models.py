@@ -10,19 +10,18 @@ from fastapi.responses import HTMLResponse
 
 from api.answers.drift import drift_of
 from api.answers.nights import night_of
-from api.answers.records import coefficient_points, model_summary, parameter_words
+from api.answers.records import coefficient_points, diagnosis_of, model_summary
 from api.answers.schemas import (
     CoefficientHistory,
     DiagnosisCurves,
     DiagnosisList,
-    DiagnosisRecord,
     DriftList,
     ModelDetail,
     ModelList,
     NightList,
 )
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
+from api.http.routes.common import Cursor, PageSize, PressesDep, PressName, StoreDep, Writer
 from daq.records import InputError
 from daq.store.records import DiagnosisRecord as StoredDiagnosis
 from daq.store.records import ModelRecord, Page, StoredNight
@@ -47,10 +46,9 @@ def list_coefficients(
 
 
 @router.get("/coefficients/drift", operation_id="list_drift", summary="Coefficients that have left what is usual")
-def list_drift(store: StoreDep, press: PressName = None) -> DriftList:
+def list_drift(store: StoreDep, presses: PressesDep) -> DriftList:
     """Return the changes the control charts over the fitted runs show now."""
-    chosen = store.presses() if press is None else [press]
-    return DriftList(items=[drift for name in chosen for drift in drift_of(store, name)])
+    return DriftList(items=[drift for name in presses for drift in drift_of(store, name)])
 
 
 @router.get("/models", operation_id="list_models", summary="Model versions, newest first")
@@ -58,8 +56,7 @@ def list_models(
     store: StoreDep, press: PressName = None, cursor: Cursor = None, limit: PageSize = 50
 ) -> ModelList:
     """Return one page of model versions."""
-    page = store.models(press=press, cursor=cursor, limit=limit)
-    return ModelList(items=[model_summary(model) for model in page.items], next_cursor=page.next_cursor)
+    return ModelList.of(store.models(press=press, cursor=cursor, limit=limit), model_summary)
 
 
 @router.get(
@@ -91,20 +88,7 @@ def list_diagnoses(
     store: StoreDep, press: PressName = None, cursor: Cursor = None, limit: PageSize = 20
 ) -> DiagnosisList:
     """Return one page of diagnoses as `kerntemp diagnose --json` writes them."""
-    page = store.diagnoses(press=press, cursor=cursor, limit=limit)
-    items = [
-        DiagnosisRecord(
-            id=str(d.number),
-            press=d.press,
-            utc=d.created_utc,
-            verdict=d.verdict,
-            diagnosis={key: value for key, value in d.diagnosis.items() if key != "curves"},
-            parameters=parameter_words(e["name"] for e in d.diagnosis.get("effects", ())),
-            has_curves="curves" in d.diagnosis,
-        )
-        for d in page.items
-    ]
-    return DiagnosisList(items=items, next_cursor=page.next_cursor)
+    return DiagnosisList.of(store.diagnoses(press=press, cursor=cursor, limit=limit), diagnosis_of)
 
 
 @router.get("/nights", operation_id="list_nights", summary="What the nightly job did, newest first")
@@ -112,8 +96,7 @@ def list_nights(
     store: StoreDep, press: PressName = None, cursor: Cursor = None, limit: PageSize = 50
 ) -> NightList:
     """Return one page of nights: runs new, fitted and left out, time, memory, what was named and promoted."""
-    page = store.nights(press=press, cursor=cursor, limit=limit)
-    return NightList(items=[night_of(night) for night in page.items], next_cursor=page.next_cursor)
+    return NightList.of(store.nights(press=press, cursor=cursor, limit=limit), night_of)
 
 
 @router.get(

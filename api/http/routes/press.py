@@ -18,7 +18,7 @@ from api.answers.schemas import AdviceList, AdviceNow, Blisters, ChannelList, Ex
 from api.answers.words import said_of
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, ResinsDep, StoreDep, existing_press, zoned
+from api.http.routes.common import PressesDep, ResinsDep, StoreDep, existing_press, zoned
 from daq.press.resin_file import read_resin
 from daq.words import say
 
@@ -29,24 +29,21 @@ LONGEST = timedelta(hours=25)
 
 
 @router.get("/press", operation_id="list_presses", summary="Every press as it stands")
-def list_presses(store: StoreDep, press: PressName = None) -> PressList:
+def list_presses(store: StoreDep, presses: PressesDep) -> PressList:
     """Return state, running pressing, channels, estimate and target of each press."""
     now = utc_now()
-    known = store.presses()
-    chosen = known if press is None else {name: text for name, text in known.items() if name == press}
-    return PressList(items=[press_now(store, name, text, now) for name, text in chosen.items()])
+    return PressList(items=[press_now(store, name, text, now) for name, text in presses.items()])
 
 
 @router.get("/advice", operation_id="list_advice", summary="When to open each press, and how sure that is")
-def list_advice(store: StoreDep, press: PressName = None) -> AdviceList:
+def list_advice(store: StoreDep, presses: PressesDep) -> AdviceList:
     """Return when to open each press so that the core's peak just reaches its target, or why nobody knows."""
     items, now = [], utc_now()
-    for name in store.presses():
-        if press in (None, name):
-            present = present_of(store, name, now)
-            run, said = present.run, estimate_of(present, present.run, now)
-            advice = said.advice if said and said.advice else advice_of(None, None)
-            items.append(AdviceNow(press=name, run=run.run if run else None, advice=advice))
+    for name in presses:
+        present = present_of(store, name, now)
+        run, said = present.run, estimate_of(present, present.run, now)
+        advice = said.advice if said and said.advice else advice_of(None, None)
+        items.append(AdviceNow(press=name, run=run.run if run else None, advice=advice))
     return AdviceList(items=items)
 
 
@@ -65,16 +62,15 @@ def get_blisters(
 
 
 @router.get("/channels", operation_id="list_channels", summary="Every channel and how its logger behaves")
-def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
+def list_channels(store: StoreDep, presses: PressesDep) -> ChannelList:
     """Return the last value, its quality and the logger's counters of each channel."""
     now = utc_now()
     items = []
-    for name in store.presses():
-        if press in (None, name):
-            present = present_of(store, name, now)
-            said = estimate_of(present, present.run, now)
-            left_out = said.left_out if said else {}
-            items += channels_now(store, name, present.channels, present.scan, now, left_out)
+    for name in presses:
+        present = present_of(store, name, now)
+        said = estimate_of(present, present.run, now)
+        left_out = said.left_out if said else {}
+        items += channels_now(store, name, present.channels, present.scan, now, left_out)
     return ChannelList(items=items)
 
 

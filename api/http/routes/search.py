@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Query
 from pydantic import Field
 
 from api.answers.schemas import SearchList, Verdict
-from api.answers.search import OWN, Bound, Wanted, check_order, search_page
+from api.answers.search import COEFFICIENT, OWN, Bound, Wanted, check_order, search_page
 from api.http.problems import problem_responses
 from api.http.routes.common import BeganDep, PageDep, PressName, StoreDep
 from daq.store.records import RunStatus
@@ -18,7 +18,7 @@ router = APIRouter(tags=["runs"], responses=problem_responses())
 
 Words = Annotated[str, Query(max_length=500, description="Words that must all occur in remark, header or name.")]
 _BOUND = r"^\s*([A-Za-z][A-Za-z0-9_.-]*\s*(<=|>=|<|>|=)\s*[+-]?[0-9]+([.,][0-9]+)?([eE][+-]?[0-9]+)?\s*)?$"
-_ORDER = rf"^-?(|{'|'.join(OWN)}|[\s\S]*\.[\s\S]*)$"
+_ORDER = rf"^-?(|{'|'.join(OWN)}|{COEFFICIENT}[\s\S]*|[\s\S]*\.[\s\S]*)$"
 Where = Annotated[
     list[Annotated[str, Field(json_schema_extra={"pattern": _BOUND})]],
     Query(
@@ -31,7 +31,8 @@ Order = Annotated[
     Query(
         max_length=200,
         description="A number to sort by, `-` before it for the largest first: `press_time_s`, `rmse_K`, "
-        "`core_at_opening_C`, `core_peak_C`, `band_at_opening_K`, or a header key. Without, the newest first.",
+        "`core_at_opening_C`, `core_peak_C`, `band_at_opening_K`, a coefficient such as `h_pp_c`, or a header "
+        "key. Without, the newest first.",
         json_schema_extra={"pattern": _ORDER},  # described, not checked here: `check_order` refuses in words
     ),
 ]

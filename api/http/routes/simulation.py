@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -13,6 +11,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from api.answers.decimation import column_values, decimate
+from api.answers.kept import Kept
 from api.answers.records import phases_of
 from api.answers.schemas import Simulation
 from api.http.problems import ProblemError, problem_responses
@@ -51,29 +50,18 @@ class Known:
     """What the fit left at each place. [K]"""
 
 
-class _Kept:
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._known: OrderedDict[tuple[object, ...], Simulated] = OrderedDict()
-
-    def get(self, store: Store, record: RunRecord) -> tuple[Simulated, Known]:
-        """Return the simulation of a run as it stands, and what it was simulated with."""
-        known = known_of(store, record)
-        newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
-        fitted = (known.version, sorted(known.values.items()), sorted(known.moments.items()))
-        press_file = store.presses().get(record.press, "")
-        told = repr((newest, record.moments, sorted(record.header.items()), fitted))
-        key = (store.label, record.run, press_file, told)
-        with self._lock:
-            if key not in self._known:
-                self._known[key] = _simulate(store, record, known)
-                while len(self._known) > KEPT:
-                    self._known.popitem(last=False)
-            self._known.move_to_end(key)
-            return self._known[key], known
+_KEPT: Kept[tuple[str, ...], Simulated] = Kept(KEPT)
 
 
-_KEPT = _Kept()
+def _simulated(store: Store, record: RunRecord) -> tuple[Simulated, Known]:
+    """Return the simulation of a run as it stands, and what it was simulated with."""
+    known = known_of(store, record)
+    newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
+    fitted = (known.version, sorted(known.values.items()), sorted(known.moments.items()))
+    press_file = store.presses().get(record.press, "")
+    told = repr((newest, record.moments, sorted(record.header.items()), fitted))
+    key = (store.label, record.run, press_file, told)
+    return _KEPT.get(key, lambda: _simulate(store, record, known)), known
 
 
 @router.get(
@@ -83,7 +71,7 @@ def get_simulation(store: StoreDep, run: str) -> Simulation:
     """Return simulated and measured temperatures at each sensor position, and the profile over time."""
     from softsensor.heat.step_terms import BOILING_C  # loads slowly
 
-    simulated, known = _KEPT.get(store, existing_run(store, run))
+    simulated, known = _simulated(store, existing_run(store, run))
     table = {f"s {k}": v for k, v in simulated.places.items()}
     table |= {f"m {k}": v for k, v in simulated.measured.items()} | {"core": simulated.core}
     time_s, kept = decimate(simulated.time_s, table, SHOWN_POINTS)
@@ -119,7 +107,7 @@ def get_figure(
     if language not in languages():
         raise ProblemError(404, say("api-no-such-language", language=language, languages=languages()))
     record = existing_run(store, run)
-    simulated, _ = _KEPT.get(store, record)
+    simulated, _ = _simulated(store, record)
     last = float(simulated.time_s[-1])
     phases = [(p.state, p.from_s, last if p.to_s is None else p.to_s) for p in phases_of(record)]
     material = str(record.header.get("panel.material", ""))
@@ -176,7 +164,7 @@ def known_of(store: Store, record: RunRecord) -> Known:
 def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
     from softsensor.fitting.simulated_run import simulate_run
     from softsensor.heat.model import ThermalModel
-    from softsensor.heat.model_file import parse_model
+    from softsensor.heat.model_reading import parse_model
 
     text = store.presses().get(record.press, "")
     if not text:

@@ -42,10 +42,9 @@ def list_events(
 ) -> EventList:
     """Return alarms, losses, changes of state, notes, and who changed what; or what the presses did."""
     if kind == "press":
-        pressed = store.press_journal(press, part.cursor, part.limit)
-        return EventList(items=[press_event_of(*one) for one in pressed.items], next_cursor=pressed.next_cursor)
+        return EventList.of(store.press_journal(press, part.cursor, part.limit), lambda one: press_event_of(*one))
     page = store.journal(press=press, level=level, process=process, cursor=part.cursor, limit=part.limit)
-    return EventList(items=[event_of(entry) for entry in page.items], next_cursor=page.next_cursor)
+    return EventList.of(page, event_of)
 
 
 class Note(BaseModel):

@@ -167,7 +167,8 @@ def _own_model(store: Store, record: RunRecord, known: Known) -> ModelFile:
 
     Where nothing is known of how coefficients differ from run to run, their doubt is that of the run's fit.
     """
-    from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
+    from softsensor.heat.model_file import FittedValue, ModelFile
+    from softsensor.heat.model_reading import parse_model
 
     fit: dict[str, Any] = (store.fit(record.run) or {}).get("coefficients", {})
     if known.model is None and not fit:

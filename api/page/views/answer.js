@@ -50,11 +50,12 @@ const SILENT = ["live sensor silent", "no scans", "clock ahead"];
 // The press's state as it may be shown: none that rests on old readings.
 export const stateOf = (now, stale) => (stale ? "unknown" : now.state);
 
-// One light: green only where everything runs and what there is to say of the panel is known.
+// One light: green only where everything runs and what there is to say of the panel is known. For how long nothing was
+// read the answer says.
 export function showLight(light, { now, silent = null, wrong = "" }) {
   const { state, estimate } = now;
   const known = state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known");
-  const fault = silent !== null ? whySilent(silent) : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
+  const fault = silent !== null ? text("page-no-readings") : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
   light.textContent = fault || text(known ? "page-health-ok" : "page-health-core-unknown");
 }
@@ -64,6 +65,8 @@ export function take(now, data) {
   if (data.valid && data.age_s > now.silent_after_s) return false;
   now.estimate = data;
   now.state = data.state;
+  const closed = now.phases.findLast((phase) => phase.state === "closed");
+  if (closed && data.state !== "idle" && data.run === now.run && data.time_s !== null) now.time_since_closing_s = Math.max(data.time_s - closed.from_s, 0);
   return true;
 }
 
@@ -80,15 +83,18 @@ export const coreKey = () => key([
   { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" },
   { name: text("page-core-foreseen"), colour: "--core", class: "dashes" }]);
 
+// Steps of a live time axis: nobody reads tenths of a second of a pressing that goes on.
+export const WHOLE_SECONDS = [1, 10, 100, 1000].flatMap((ten) => [ten, 2 * ten, 5 * ten]);
+
 // The core alone, on its own scale, from closing on: band, target, the opening advised, and what is foreseen.
 export class CoreChart {
-  constructor(place, { height, measured = [], keep = true }) {
+  constructor(place, { height, measured = [], keep = true, letters = 12 }) {
     this.chart = new TimeChart(place, {
       series: [{ name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true },
         { name: "low ahead", kind: "band-low", colour: "--core-ahead" }, { name: "high ahead", kind: "band-high", colour: "--core-ahead" },
         { name: text("page-core-foreseen"), colour: "--core", kind: "line", dash: [6, 5], spanGaps: true },
         ...measured.map((name) => ({ name, colour: "--measured", kind: "line" }))],
-      height, keep, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"),
+      height, keep, letters, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS,
       yRange: (_, low, high) => this.range(low, high),
     });
   }
@@ -114,8 +120,8 @@ export class CoreChart {
     const all = [low, high, this.target].filter((value) => Number.isFinite(value));
     if (all.length === 1) all.push(0);
     const [least, most] = all.length ? [Math.min(...all), Math.max(...all)] : [0, 100];
-    const room = Math.max(0.06 * (most - least), 1);
-    return [least - room, most + room];
+    const room = (share) => Math.max(share * (most - least), 1);
+    return [least - room(0.06), most + room(0.13)]; // above, the phases' names stand clear of the target
   }
 
   close() {

@@ -39,7 +39,10 @@ function card(name, history, axis, used, drift) {
   const holder = el("div", {});
   const known = (p) => p.c.identifiable !== false;
   const told = points.filter(known);
-  const last = told.at(-1);
+  const last = history.findLast(({ coefficients }) => coefficients[name] && coefficients[name].identifiable !== false);
+  const value = last && `${figure(last.coefficients[name].value)} W/m²K`;
+  // The newest fit, in the table below, may not know it: then this says whose value it is.
+  const beside = [last && last !== history.at(-1) && text("page-last-identifiable", { run: last.run }), used && `${text("page-in-use")} ${figure(used)} W/m²K`].filter(Boolean);
   const [low, high] = span(told.length ? told : points);
   // What a run could not tell stays inside the picture, at its edge.
   const inside = (value) => Math.min(Math.max(value, low), high);
@@ -59,7 +62,7 @@ function card(name, history, axis, used, drift) {
   });
   const described = bodies(name);
   return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, described)),
-    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : used ? "" : "–", used ? el("span", { class: "faint small" }, `${last ? " · " : ""}${text("page-in-use")} ${figure(used)} W/m²K`) : "")),
+    el("span", {}, el("span", { class: "num" }, value ?? (beside.length ? "" : "–")), beside.map((words, i) => [value || i ? " · " : "", el("span", { class: "faint small" }, words)]))),
   el("p", { class: "row small", style: "margin:-.4rem 0 .4rem" }, driftPill(drift)), holder);
 }
 

@@ -1,8 +1,8 @@
 // What the simulation gets wrong: the last diagnosis with cause, evidence and gain; model versions to promote or roll back.
 import { get, post } from "../api.js";
-import { TimeChart, key } from "../charts.js";
+import { TimeChart, calmRange, key } from "../charts.js";
 import { clock, el, number, plain, table } from "../dom.js";
-import { capital, effectName as name, has, placeName, said, text } from "../words.js";
+import { capital, effectCalled, effectName as name, has, placeName, said, text } from "../words.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
@@ -27,7 +27,7 @@ function drawDiagnosis(holder, record) {
   const judged = (side) => (predicted ? side?.predicted_rmse_K : side?.heldout_rmse_K);
   const gain = judged(d.base) && judged(d.extended) ? 1 - judged(d.extended) / judged(d.base) : null;
   const pair = (label, base, extended) => (base === null || base === undefined ? null
-    : el("div", {}, el("b", {}, d.effects.length ? `${number(base, 2)} → ${number(extended, 2)} K` : `${number(base, 2)} K`), el("span", {}, label)));
+    : el("div", {}, el("b", {}, d.effects.length ? `${number(base, 2)} → ${number(extended, 2)} K` : `${number(base, 2)} K`), el("span", {}, `${label}: ${text(d.effects.length ? "page-plain-extended" : "page-plain-model")}`)));
   const cards = [el("section", { class: "card", "data-testid": "diagnosis" },
     el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`page-verdict-${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
     el("p", { class: "verdict" }, sentence(d)),
@@ -62,16 +62,23 @@ async function drawCurves(card, id) {
       ...models.map(([model, colour]) => ({ name: text("figure-core", { model: text(`figure-${model}`) }), colour, kind: "thin", dash: [5, 4] })),
       ...cores.map(() => ({ name: text("figure-core-measured"), colour: "--bottom", kind: "dots" }))] });
     chart.set([curves.time_s, ...models.map(([model]) => place[`${model}_C`]), place.measured_C, ...models.map(([model]) => curves.core[`${model}_C`]), ...cores]);
-    const residual = new TimeChart(card, { height: 150, label: text("page-curves-residual", { place: name }), yLabel: "K", sync, phases, series: models.map(([model, colour]) => ({ name: called(model), colour, kind: "line", unit: "K", digits: 2 })) });
-    residual.set([curves.time_s, ...models.map(([model]) => place[`${model}_residual_K`])]);
+    const off = models.map(([model]) => place[`${model}_residual_K`]);
+    const residual = new TimeChart(card, { height: 150, label: text("page-curves-residual", { place: name }), yLabel: "K", sync, phases, yRange: calmRange(off), series: models.map(([model, colour]) => ({ name: called(model), colour, kind: "line", unit: "K", digits: 2 })) });
+    residual.set([curves.time_s, ...off]);
+    residual.holder.before(el("p", { class: "small faint" }, residual.label));
     chart.holder.before(el("h3", { class: "sub" }, name));
   }
 }
 
 function sentence(d) {
   if (!d.effects.length) return has(`page-sentence-${d.verdict}`) ? text(`page-sentence-${d.verdict}`) : "";
-  const names = d.effects.map((effect) => effect.set && effect.set.length > 1 ? effect.set.map(name).join(` ${text("page-or")} `) : name(effect.name));
-  return names.join(` + `);
+  return capital(d.effects.map((effect) => eitherOf(effect.set?.length ? effect.set : [effect.name])).join(" + "));
+}
+
+// A name with a comma of its own, a relative clause say, ends before the next begins.
+function eitherOf(effects) {
+  const names = effects.map(effectCalled);
+  return names.join(`${names.some((one) => one.includes(",")) ? "," : ""} ${text("page-or")} `);
 }
 
 function effectBlock(effect, words) {
@@ -81,7 +88,7 @@ function effectBlock(effect, words) {
     parameters.length ? table(name(effect.name), [{ text: text("page-parameter") }, { text: text("page-value"), class: "right" }, { text: text("page-interval"), class: "right" }],
       parameters.map(([key, p]) => [el("span", { title: key }, p.words), el("span", { class: "num" }, `${p.value} ${p.unit}`.trim()), el("span", { class: "num" }, p.interval)])) : null,
     el("p", {}, `${capital(worth)}.`),
-    el("p", { class: "small faint" }, [effect.explained_share >= 0.005 && effect.name !== "sensor_fault" && `${text("page-explains")} ${number(100 * Math.min(effect.explained_share, 1), 0)} %`,
+    el("p", { class: "small faint" }, [effect.explained_share >= 0.005 && effect.name !== "sensor_fault" && text("page-explains", { percent: 100 * Math.min(effect.explained_share, 1) }),
       Number.isFinite(effect.p_value) && `${text("page-luck")}: ${chance(effect.p_value)}`].filter(Boolean).join(" · ")));
 }
 
@@ -106,10 +113,15 @@ const SHOWN_K = 0.005; // less is written as 0.00
 function candidatesCard(d) {
   const items = (d.candidates ?? []).filter((c) => Math.abs(c.heldout_gain_K ?? 0) >= SHOWN_K).sort((a, b) => b.heldout_gain_K - a.heldout_gain_K).slice(0, 10);
   const best = Math.max(...items.map((c) => c.heldout_gain_K ?? 0), 1e-9);
+  const above = [...d.effects, ...(d.suspected ?? [])].flatMap((effect) => [effect.name, ...(effect.set ?? [])]);
+  const other = items.length && above.length && !above.includes(items[0].name);
   return el("section", { class: "card" }, el("h2", {}, text("page-evidence")), items.length ? el("div", { class: "bars" }, items.map((c) =>
     el("div", { class: `bar-row ${d.effects.some((e) => e.name === c.name) ? "first" : ""}` }, el("span", {}, name(c.name)), el("i", { style: `width:${Math.max(0, (100 * (c.heldout_gain_K ?? 0)) / best)}%` }),
-      el("span", { class: "num right" }, `${kelvins(c.heldout_gain_K, 2)} K`)))) : el("p", { class: "faint" }, text("page-no-gain")));
+      el("span", { class: "num right" }, `${kelvins(c.heldout_gain_K, 2)} K`)))) : el("p", { class: "faint" }, text("page-no-gain")),
+    other ? el("p", { class: "small faint" }, text("page-evidence-other", { cause: effectCalled(items[0].name) })) : null);
 }
+
+const UNJUDGED = ["too_few_runs", "not_described"];
 
 function whereCard(d) {
   const heads = [{ text: text("page-place") }, { text: text("page-off-by"), class: "right" }, { text: text("page-state") }, { text: text("page-since-it-began"), class: "right" }, { text: text("page-measured-there"), class: "right" }];
@@ -117,7 +129,7 @@ function whereCard(d) {
   return el("section", { class: "card" }, el("h2", {}, text("page-where")), d.where?.length ? table(text("page-where"), heads,
     d.where.slice(0, 8).map((w) => [el("span", { title: w.signal }, placeName(w.signal)), el("span", { class: "num" }, `${w.residual_K > 0 ? "+" : ""}${number(w.residual_K, 2)} K`),
       w.phase ? said(w.phase_said, w.phase) : text(`page-state-${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : span(w.from_s, w.to_s, "s")),
-      el("span", { class: "num" }, Number.isFinite(w.low_C) ? span(Math.round(w.low_C), Math.round(w.high_C), "°C") : "–")]), { cards: true }) : el("p", { class: "faint" }, text("page-nowhere")));
+      el("span", { class: "num" }, Number.isFinite(w.low_C) ? span(Math.round(w.low_C), Math.round(w.high_C), "°C") : "–")]), { cards: true }) : el("p", { class: "faint" }, text(UNJUDGED.includes(d.verdict) ? "page-nowhere-sought" : "page-nowhere")));
 }
 
 function historyCard(items, choose) {

@@ -94,7 +94,7 @@ function row(group) {
   const span = (at(newest) - at(group.at(-1))) / 1000;
   const runs = [...new Set(group.map(({ run }) => run).filter(Boolean))];
   return [when(newest.utc), `${newest.process}${newest.press ? ` · ${newest.press}` : ""}`,
-    el("div", {}, newest.level === "info" ? "" : el("span", { class: `pill ${newest.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${newest.level}`)), " ", words,
+    el("div", {}, newest.level === "info" ? "" : [el("span", { class: `pill ${newest.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${newest.level}`)), " "], words,
       group.length > 1 && !ofPress(newest) ? el("details", { class: "small" }, el("summary", {}, text("page-repeated", { count: group.length, time: duration(span) })),
         el("ul", {}, group.map((one) => el("li", {}, when(one.utc), ` ${shown(one)}`)))) : ""),
     runs.length ? el("div", {}, runs.slice(0, 3).map((run) => el("div", { class: "num" }, el("a", { href: `#/runs/${encodeURIComponent(run)}` }, run))), runs.length > 3 ? "…" : "") : "–"];

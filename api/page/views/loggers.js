@@ -1,5 +1,6 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
 import { get } from "../api.js";
+import { standing } from "../channels.js";
 import { bytes, clock, duration, el, number, reading, table } from "../dom.js";
 import { has, said, text } from "../words.js";
 
@@ -7,8 +8,9 @@ export async function show(place) {
   const holder = el("div", { class: "stack" });
   place.append(holder);
   const load = async () => {
-    const [channels, health, events] = await Promise.all([get("/channels"), get("/health"), get("/events", { limit: 200 })]);
-    const cards = [el("div", { class: "pair" }, storeCard(health), clockCard(health, channels.items, events.items)), channelCard(channels.items), processCard(health)];
+    const [channels, health, events, presses] = await Promise.all([get("/channels"), get("/health"), get("/events", { limit: 200 }), get("/press")]);
+    const silentAfter = Object.fromEntries(presses.items.map((one) => [one.press, one.silent_after_s]));
+    const cards = [el("div", { class: "pair" }, storeCard(health), clockCard(health, channels.items, events.items)), channelCard(channels.items, (c) => c.age_s === null || c.age_s > silentAfter[c.press]), processCard(health)];
     const scrolled = holder.querySelector("[data-testid=loggers] .scroll")?.scrollLeft ?? 0;
     holder.replaceChildren(...cards);
     holder.querySelector("[data-testid=loggers] .scroll")?.scrollTo({ left: scrolled });
@@ -46,15 +48,21 @@ function clockCard(health, channels, events) {
 // Drivers count many causes; the ones with a name of their own here are those a technician asks for.
 const COUNTED = { "page-readings": ["good"], "page-timeouts": ["silent"], "page-reconnects": ["port lost", "closed"], "page-crc-errors": ["crc"] };
 
-function channelCard(items) {
+// What was read last is neither good nor bad once nothing is read.
+function quality(channel, old) {
+  const { good, words } = standing(channel.quality, channel.left_out_K);
+  return el("span", { class: `pill wraps ${old ? "idle" : good ? "good" : "bad"}` }, words);
+}
+
+function channelCard(items, old) {
   const of = (c, causes) => causes.reduce((sum, cause) => sum + (c.counters[cause] ?? 0), 0);
   const named = Object.values(COUNTED).flat();
   const others = (c) => Object.entries(c.counters).filter(([cause]) => !named.includes(cause));
   return el("section", { class: "card", "data-testid": "loggers" }, el("h1", {}, text("page-nav-loggers")), items.length ? table(text("page-channels"),
     [{ text: text("page-channel") }, { text: text("page-logger") }, { text: text("page-value"), class: "right" }, { text: text("page-quality") }, { text: text("page-last-good"), class: "right" }, { text: text("page-gaps"), class: "right" },
       ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("page-other-faults"), class: "right" }],
-    items.map((c) => [c.name, c.logger || "–", el("span", { class: "num" }, c.value === null ? "–" : reading(c)),
-      el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`page-quality-${c.quality}`)),
+    items.map((c) => [c.name, c.logger || "–", el("span", { class: old(c) ? "num faint" : "num" }, c.value === null ? "–" : reading(c)),
+      quality(c, old(c)),
       el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
       ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "page-readings")),
       el("span", { title: others(c).map(([cause, n]) => `${text(`cause-${cause.replaceAll(" ", "-")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))]), { cards: true }) : el("p", { class: "faint" }, text("page-no-channels")));

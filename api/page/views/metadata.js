@@ -9,7 +9,7 @@ export function metadataCard(run, path) {
     const change = el("button", { type: "button", class: "button", onclick: edit }, text("page-change"));
     card.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-metadata")), change),
       table(text("page-metadata"), [{ text: text("page-name") }, { text: text("page-value"), class: "right" }],
-        Object.entries(run.header).map(([name, value]) => [called(name), el("span", { class: "num" }, shown(value))])),
+        Object.entries(run.header).filter(([name]) => name !== "run").map(([name, value]) => [called(name), el("span", { class: "num" }, shown(value))])),
       ...(run.changes.length ? [historyOf(run.changes)] : []));
     return change;
   };

@@ -31,7 +31,7 @@ export async function show(place, context) {
 
 function nightTable(nights, all) {
   const heads = [{ text: text("page-night") }, ...(all ? [{ text: text("page-press") }] : []), { text: text("page-night-new"), class: "right" }, { text: text("page-night-fitted"), class: "right" }, { text: text("page-night-left-out") },
-    { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model") }];
+    { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model"), class: "wide" }];
   return table(text("page-nav-nights"), heads, nights.map((one) => [
     el("div", {}, report(one), el("p", { class: "small faint" }, text("page-night-stored", { runs: one.runs })), archive(one)),
     ...(all ? [one.press] : []), count(one.new), fitted(one), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });

@@ -1,11 +1,12 @@
 // Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
 import { announce } from "../announce.js";
 import { get } from "../api.js";
-import { roleOf } from "../channels.js";
+import { GROUPS, roleOf, standing } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
+import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
-import { CoreChart, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, whySilent } from "./answer.js";
+import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -13,7 +14,6 @@ import { sketch } from "./sketch.js";
 const KEEP_ROWS = 20000;
 const FACTS_MS = 400;
 const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
-const GROUPS = { platen: "page-platens", top: "page-sensors-top", bottom: "page-sensors-bottom" };
 
 export async function show(place, context) {
   const live = new LivePress(place, context);
@@ -86,6 +86,7 @@ class LivePress {
     this.grid = el("div", { class: "channels", "data-testid": "channels" });
     this.title = el("h2", {});
     [this.canvas, this.faces, this.keys, this.faceKeys] = [0, 1, 2, 3].map(() => el("div", {}));
+    this.behind = el("p", { class: "small warn-text", role: "status", hidden: true, "data-testid": "behind" });
     this.warning = el("div", { class: "warning", role: "status", hidden: true });
     this.old = el("p", { class: "banner", role: "status", hidden: true });
     this.place.replaceChildren(this.old,
@@ -100,7 +101,7 @@ class LivePress {
           el("p", { class: "small" }, el("a", { href: "#/wall" }, text("page-wall")))),
         this.charts = el("section", { class: "card", "aria-label": text("page-running-pressing") },
           el("div", { class: "head" }, this.title),
-          this.curves = el("div", { hidden: true }, this.canvas, this.keys,
+          this.curves = el("div", { hidden: true }, this.canvas, this.keys, this.behind,
             el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys))),
       this.panels = el("div", { class: "pair" }),
       el("section", { class: "card" }, el("h2", {}, text("page-channels")), this.grid));
@@ -111,7 +112,6 @@ class LivePress {
 
   facts() {
     const { now } = this;
-    this.showState();
     this.showCore(now.estimate);
     const target = now.target;
     const rows = [
@@ -140,6 +140,7 @@ class LivePress {
 
   showCore(estimate = this.now.estimate) {
     showCore(this.core, this.band, this.now.state, estimate);
+    this.showState();
     this.showAnswer();
   }
 
@@ -179,14 +180,11 @@ class LivePress {
 
   tiles() {
     const nodes = this.now.channels.map((channel) => {
-      const leftOut = this.now.estimate?.left_out?.[channel.name] ?? null;
-      const read = ["good", "simulated"].includes(channel.quality);
-      const good = read && leftOut === null;
-      const why = !read ? null : leftOut !== null ? text("page-left-out-channel", { kelvin: number(Math.abs(leftOut), 0), side: leftOut < 0 ? "below" : "above" }) : null;
+      const { read, good, words } = standing(channel.quality, this.now.estimate?.left_out?.[channel.name]);
       return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})` },
-        el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, text(`page-quality-${channel.quality}`)) : ""),
-        el("b", {}, read ? reading(channel) : text(`page-quality-${channel.quality}`)),
-        why ? el("div", { class: "small bad-text" }, why) : "");
+        el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, words) : ""),
+        el("b", {}, read ? reading(channel) : words),
+        read && !good ? el("div", { class: "small bad-text" }, words) : "");
     });
     this.grid.replaceChildren(...nodes);
   }
@@ -212,6 +210,7 @@ class LivePress {
     this.phases = detail.phases;
     this.notes = notesOf(detail);
     this.course = null;
+    this.reached = estimates.time_s.at(-1) ?? samples.time_s[0];
     this.rows = merge(samples, estimates, this.columns);
     this.draw();
   }
@@ -228,7 +227,7 @@ class LivePress {
     this.chart = new CoreChart(this.canvas, { height, measured: this.inner });
     this.faceChart = new TimeChart(this.faces, {
       series: this.outer.map((name) => ({ name, colour: COLOURS[role(name)], kind: "thin", group: GROUPS[role(name)] && text(GROUPS[role(name)]) })),
-      height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"),
+      height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS,
     });
     this.redraw();
     this.drawn = this.shown;
@@ -248,6 +247,14 @@ class LivePress {
       phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes,
     });
     this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
+    this.showBehind();
+  }
+
+  // Why the core's curve ends before those of the readings.
+  showBehind() {
+    const behind = this.rows[0].at(-1) - this.reached;
+    this.behind.hidden = !(behind > BRIDGE_S);
+    if (!this.behind.hidden) this.behind.textContent = text("page-core-behind", { time: seconds(behind) });
   }
 
   scan(data) {
@@ -275,11 +282,10 @@ class LivePress {
     if (data.press !== this.now?.press) return;
     take(this.now, data);
     this.course = courseOf(data) ?? this.course;
-    const closed = this.phases?.findLast((phase) => phase.state === "closed");
-    if (closed && data.run === this.shown && data.time_s !== null) this.now.time_since_closing_s = Math.max(data.time_s - closed.from_s, 0);
     this.soon("showCore");
-    if (performance.now() - (this.told ?? 0) > FACTS_MS) { this.told = performance.now(); this.soon("facts"); }
+    this.due ??= setTimeout(() => { this.due = null; if (!this.closed) this.facts(); }, FACTS_MS); // the last one is never left out
     if (data.run !== this.shown || !this.rows) return;
+    this.reached = Math.max(this.reached, data.time_s ?? this.reached);
     const row = lastAt(this.rows[0], data.time_s);
     if (row < 0 || !data.valid) return;
     const first = this.columns.length + 1;

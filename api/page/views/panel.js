@@ -61,7 +61,8 @@ export class PanelCards {
 
   // What the faces read now, beside the start temperature that is typed in, and the last panel's verdict.
   show(now) {
-    const degrees = (value) => `${number(value, 1)} °C`;
+    const degrees = (value) => (value === null ? text("page-state-unknown") : `${number(value, 1)} °C`);
+    if (this.faces) this.faces.hidden = now.faces.top_C === null && now.faces.bottom_C === null;
     if (this.faces) this.faces.textContent = text("page-next-faces", { top: degrees(now.faces.top_C), bottom: degrees(now.faces.bottom_C) });
     this.follow(now.run);
     const done = now.run && (now.run_status !== "open" || now.estimate?.advice?.verdict === "opened") ? now.run : null;

@@ -1,9 +1,9 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
 import { download, get, url } from "../api.js";
-import { TimeChart, key } from "../charts.js";
-import { began, duration, el, number, table } from "../dom.js";
+import { TimeChart, calmRange, key } from "../charts.js";
+import { began, duration, el, number, table, when } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
-import { roleOf } from "../channels.js";
+import { GROUPS, roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { cureOf, steamOf } from "./answer.js";
 import { showBlisters } from "./blisters.js";
@@ -91,19 +91,20 @@ async function list(place, context) {
     const cell = (value, digits, unit) => el("span", { class: "num" }, value === null || value === undefined ? "–" : `${number(value, digits)} ${unit}`);
     const columns = [["press_time_s", "page-pressed", 1, "s"], ["core_at_opening_C", "page-core-at-opening", 1, "°C"], ["core_peak_C", "page-core-peak", 1, "°C"], ["band_at_opening_K", "page-band-at-opening", 1, "K"], ["rmse_K", "page-rmse", 2, "K"]];
     body.replaceChildren(table(text("page-nav-runs"), [
-      { text: text("page-compare"), unseen: true }, { text: text("page-run") }, { text: text("page-started"), class: "hide-narrow" }, { text: text("page-material"), class: "hide-narrow" },
+      { text: text("page-run") }, { text: text("page-started") }, { text: text("page-material"), class: "hide-narrow" },
       { text: sorting("panel.thickness_mm", text("page-thickness")), class: "right hide-narrow" },
-      ...columns.map(([name, code], i) => ({ text: sorting(name, text(code)), class: i === 1 ? "right" : "right hide-narrow" })),
-      { text: text("page-panel-became") }, { text: text("page-status"), class: "hide-narrow" },
+      ...columns.map(([name, code]) => ({ text: sorting(name, text(code)), class: ["core_peak_C", "band_at_opening_K"].includes(name) ? "right hide-narrow" : "right" })),
+      { text: text("page-panel-became") }, { text: text("page-status") },
     ], items.map((run) => [
-      el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
-      el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run),
-      el("span", { class: "num" }, began(run.started_utc)), run.material || "–", cell(run.thickness_mm, 1, "mm"),
+      el("div", { class: "chosen" },
+        el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
+        el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run)),
+      run.started_utc ? when(run.started_utc) : began(null), run.material || "–", cell(run.thickness_mm, 1, "mm"),
       ...columns.map(([name, , digits, unit]) => (name === "rmse_K" && run.described === false
-        ? el("div", {}, cell(run.numbers[name], digits, unit), el("p", {}, el("span", { class: "pill bad" }, text("page-not-described")))) : cell(run.numbers[name], digits, unit))),
+        ? el("div", {}, cell(run.numbers[name], digits, unit), el("p", {}, el("span", { class: "pill bad wraps" }, text("page-not-described")))) : cell(run.numbers[name], digits, unit))),
       run.verdict ? el("span", { class: `pill ${run.verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${run.verdict}`)) : "–",
       statusPill(run.status),
-    ]), { pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
+    ]), { cards: true, sort: text("page-sort-by"), pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
   }
 
   function pick(run, on) {
@@ -133,7 +134,7 @@ async function detail(place, context, id) {
     get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
   const waiting = el("section", { class: "card empty" }, text("page-simulating"));
-  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates, fit), waiting, run.status === "open" ? "" : whatIfCard(path), el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
+  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates, fit), waiting, run.status === "open" ? "" : whatIfCard(path), el("div", { class: "pair" }, fitCard(fit, run), metadataCard(run, path)));
   get(`${path}/simulation`).then((simulation) => {
     if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(run, simulation));
   }).catch((error) => waiting.replaceChildren(text("page-no-simulation"), el("p", { class: "small" }, error.message)));
@@ -172,7 +173,7 @@ function measuredCard(run, samples, estimates, fit) {
   const names = Object.keys(samples.columns).filter((name) => name !== "closed");
   const colour = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
   const series = [...names.map((name) => (stray.has(name) ? { name, colour: "--bad", kind: "stray", dash: [3, 4], note: text("page-sensor-stray") }
-    : { name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin" })),
+    : { name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin", group: GROUPS[roleOf(name)] && text(GROUPS[roleOf(name)]) })),
     { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true }];
   const { times, lift } = grid(samples.time_s, estimates.time_s);
   const ok = (values) => values.map((value, i) => (estimates.valid[i] ? value : null));
@@ -191,7 +192,7 @@ function measuredCard(run, samples, estimates, fit) {
 
 const MOST_LEFT_OUT = 12;
 
-// What was not simply measured, and why: one line for each channel and cause.
+// What was not simply measured, and why: one line for each cause and all channels that missed the same.
 function leftOut(spans) {
   const causes = new Map();
   for (const span of spans) {
@@ -199,10 +200,15 @@ function leftOut(spans) {
     const known = causes.get(id) ?? { ...span, rows: 0 };
     causes.set(id, { ...known, rows: known.rows + span.rows, from_s: Math.min(known.from_s, span.from_s), to_s: Math.max(known.to_s, span.to_s) });
   }
-  const lines = [...causes.values()].sort((a, b) => b.rows - a.rows);
+  const groups = new Map();
+  for (const { column, quality, rows, from_s: from, to_s: to } of [...causes.values()].sort((a, b) => b.rows - a.rows)) {
+    const what = `${text(`page-quality-${quality}`)}, ${number(rows, 0)} ${text("page-scans")}, ${number(from, 1)} – ${number(to, 1)} s`;
+    groups.set(what, [...(groups.get(what) ?? []), column === "*" ? text("page-all-channels") : column]);
+  }
+  const lines = [...groups].map(([what, columns]) => `${columns.join(", ")}: ${what}`);
   if (!lines.length) return null;
   return el("div", { class: "small", "data-testid": "left-out" }, el("h3", {}, text("page-left-out")), el("ul", {},
-    lines.slice(0, MOST_LEFT_OUT).map((line) => el("li", {}, `${line.column === "*" ? text("page-all-channels") : line.column}: ${text(`page-quality-${line.quality}`)}, ${number(line.rows, 0)} ${text("page-scans")}, ${number(line.from_s, 1)} – ${number(line.to_s, 1)} s`)),
+    lines.slice(0, MOST_LEFT_OUT).map((line) => el("li", {}, line)),
     lines.length > MOST_LEFT_OUT ? el("li", {}, text("page-and-more", { count: lines.length - MOST_LEFT_OUT })) : null));
 }
 
@@ -234,25 +240,17 @@ function simulationCard(run, simulation) {
   return card;
 }
 
-// The second after closing may be off by tens of kelvins: the axis shows what 97 % of the residuals need.
-function calmRange(series) {
-  const sizes = series.flat().filter((value) => value !== null).map(Math.abs).sort((a, b) => a - b);
-  const limit = Math.max(sizes[Math.floor(sizes.length * 0.97)] ?? 1, 0.5) * 1.3;
-  return [-limit, limit];
-}
-
 function profileCard(run, simulation) {
   return el("section", { class: "card" }, el("h2", {}, text("page-profile")), profilePicture(simulation, run.phases));
 }
 
-function fitCard(fit) {
+function fitCard(fit, { described }) {
   if (!fit) return el("section", { class: "card" }, el("h2", {}, text("page-fit")), el("p", { class: "faint" }, text("page-no-fit")));
-  const described = !(fit.warnings_said ?? []).some(({ code }) => code === "fit-not-described-check");
   const shown = (value) => Number((value ?? NaN).toFixed(2));
   const further = shown(fit.rmse_K) > shown(fit.initial_rmse_K); // of the figures shown below
-  const state = !described ? ["bad", "page-not-described"] : !fit.converged ? ["warn", "page-not-converged"] : further ? ["warn", "page-further-off"] : ["good", "page-converged"];
+  const state = described === false ? ["bad", "page-not-described"] : !fit.converged ? ["warn", "page-not-converged"] : further ? ["warn", "page-further-off"] : ["good", "page-converged"];
   // Of a run the model does not describe nothing is known: what a search ended at has no interval.
-  const coefficients = described ? fit.coefficients : Object.fromEntries(Object.entries(fit.coefficients).map(([name, c]) => [name, { ...c, ci95: null }]));
+  const coefficients = described !== false ? fit.coefficients : Object.fromEntries(Object.entries(fit.coefficients).map(([name, c]) => [name, { ...c, ci95: null }]));
   return el("section", { class: "card", "data-testid": "fit" }, el("div", { class: "head" }, el("h2", {}, text("page-fit")),
     el("span", { class: `pill ${state[0]}` }, text(state[1]))),
   coefficientTable(coefficients),

@@ -26,7 +26,7 @@ export async function showScatter(place, context, filters) {
   const query = (more) => new URLSearchParams(Object.entries({ ...filter, ...more }).filter(([, value]) => value)).toString();
   const card = scatter(runs, axes, () => history.replaceState(null, "", `#/runs/scatter?${query(axes)}`));
   card.querySelector(".head > .row").append(el("a", { class: "button", href: `#/runs?${query()}` }, text("page-back")));
-  card.append(el("p", { class: "small faint" }, text(cursor ? "page-scatter-newest" : "page-scatter-of", { count: runs.length })));
+  if (cursor) card.append(el("p", { class: "small faint" }, text("page-scatter-newest", { count: runs.length })));
   place.append(card);
   return null;
 }
@@ -35,19 +35,20 @@ export function scatter(runs, axes = {}, keep = () => {}) {
   const names = [...new Set(runs.flatMap(({ numbers }) => Object.keys(numbers).filter((name) => numbers[name] !== null)))].sort();
   const usual = { x: ["press_time_s", names[0]], y: ["core_at_opening_C", names.at(-1)] };
   for (const axis of AXES) axes[axis] = [axes[axis], ...usual[axis]].find((name) => names.includes(name));
-  const holder = el("div", {});
+  const holder = el("div", {}), counted = el("p", { class: "small faint", role: "status" });
   const choose = (axis, label) => el("label", { class: "row small" }, el("span", { class: "faint" }, label),
     el("select", { onchange: (event) => { axes[axis] = event.target.value; keep(); draw(); } }, names.map((name) => el("option", { value: name, selected: name === axes[axis] }, numberName(name)))));
   const card = el("section", { class: "card", "data-testid": "scatter" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-scatter")),
-    el("div", { class: "row" }, choose("y", text("page-scatter-up")), choose("x", text("page-scatter-right")))), holder);
+    el("div", { class: "row" }, choose("y", text("page-scatter-up")), choose("x", text("page-scatter-right")))), holder, ...(names.length ? [counted] : []));
   let chart = null;
   function draw() {
     const points = runs.map(({ id, numbers }) => ({ id, x: numbers[axes.x] ?? null, y: numbers[axes.y] ?? null })).filter(({ x, y }) => x !== null && y !== null).sort((a, b) => a.x - b.x);
+    counted.textContent = text("page-scatter-of", { shown: points.length, count: runs.length, lacking: runs.length - points.length });
     chart?.close();
     holder.replaceChildren();
     const span = points.length ? points.at(-1).x - points[0].x || Math.abs(points[0].x) || 1 : 1;
     chart = new TimeChart(holder, {
-      series: [{ name: numberName(axes.y), colour: "--core", kind: "dots", size: 9, unit: "", digits: 2 }], height: 300, label: text("page-scatter"), yLabel: numberName(axes.y), xLabel: numberName(axes.x),
+      series: [{ name: numberName(axes.y), colour: "--core", kind: "dots", size: 9, unit: "", digits: 2 }], height: 380, label: text("page-scatter"), yLabel: numberName(axes.y), xLabel: numberName(axes.x),
       xRange: points.length ? [points[0].x - 0.08 * span, points.at(-1).x + 0.08 * span] : [0, 1],
     });
     chart.tipHead = (x) => `${points.filter((point) => point.x === x).map(({ id }) => id).join(", ")} · ${number(x, 1)}`;

@@ -61,7 +61,8 @@ class Wall {
     told.time_s.forEach((time, i) => { if (told.valid[i]) this.keep(time, told.core_low_C[i], told.core_high_C[i], told.core_C[i]); });
     this.chart?.close();
     this.chartPlace.replaceChildren();
-    this.chart = new CoreChart(this.chartPlace, { height: Math.max(this.chartPlace.clientHeight - 6, 120), keep: false });
+    const letters = Math.max(12, 0.024 * Math.min(innerWidth, innerHeight)); // grow with the screen, as all letters of the wall
+    this.chart = new CoreChart(this.chartPlace, { height: Math.max(this.chartPlace.clientHeight - 6, 120), keep: false, letters });
   }
 
   keep(...row) {
@@ -80,7 +81,8 @@ class Wall {
 
   draw() {
     const { now } = this;
-    this.since.textContent = now.state !== "closed" || now.time_since_closing_s === null ? "" : duration(now.time_since_closing_s);
+    const last = now.run && now.run_status !== "open"; // what is drawn is no running pressing
+    this.since.textContent = last ? `${text("page-last-pressing")} ${now.run}` : now.state !== "closed" || now.time_since_closing_s === null ? "" : duration(now.time_since_closing_s);
     showCore(this.core, this.band, now.state, now.estimate);
     this.showAge();
     if (!this.chart || !this.rows) return;

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.compiled import compiled
-from daq.records import Array
+from daq.records import Array, InputError
+from daq.words import say
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import OPENING_RAMP_S
@@ -39,7 +40,7 @@ class Slab(NamedTuple):
     boundary: Array
     """Measured boundary temperatures (rows, 2). [°C]"""
     switches: Array
-    """Insertion, closing, opening, closing ramp, opening ramp. [s]"""
+    """Insertion, closing, opening (infinite: not in this run), closing ramp, opening ramp. [s]"""
     ambient: float
     """[°C]"""
 
@@ -77,7 +78,17 @@ class Lines:
 
 
 def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tuple[str, ...]) -> Lines:
-    """Return the equations of a case whose boundaries are measured and whose properties are constant."""
+    """Return the equations of a case whose boundaries are measured and whose properties are constant.
+
+    Raises
+    ------
+    InputError
+        For another boundary.
+    """
+    ends = (case.press.boundary.bottom, case.press.boundary.top)
+    for end, boundary in zip(("bottom", "top"), ends, strict=True):
+        if boundary.kind != "measured":
+            raise InputError(say("paper-boundary-not-measured", boundary=f"boundary.{end}", kind=boundary.kind))
     probe = {n: 1.0 + i for i, n in enumerate(case.press.coefficient_names)}
     stack = model.build(case, probe).stack
     spots = []
@@ -88,11 +99,10 @@ def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tu
                 if value > 0:
                     spots.append((int(interface), state, kind, names.index(_name_of(probe, value))))
     run, moments = case.run, case.moments
-    ends = (case.press.boundary.bottom, case.press.boundary.top)
-    boundary = np.stack([_filled(run.time_s, run.columns[b.column or ""]) for b in ends], axis=1)
-    switches = np.array(
-        [moments.inserted_s, moments.closed_s, moments.opened_s, max(moments.ramp_s, 0.05), OPENING_RAMP_S]
-    )
+    temperatures = np.stack([_filled(run.time_s, run.columns[b.column or ""]) for b in ends], axis=1)
+    came = np.array([moments.inserted_s, moments.closed_s, moments.opened_s])
+    never = np.where(np.isnan(came), np.inf, came)
+    switches = np.array([*never, max(moments.ramp_s, 0.05), OPENING_RAMP_S])
     places = np.stack([case.places[case.labels.index(label)] for label in labels])
     slab = Slab(
         stack.dx,
@@ -100,7 +110,7 @@ def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tu
         np.asarray(stack.c),
         np.array(spots, dtype=np.int64),
         run.time_s,
-        boundary,
+        temperatures,
         switches,
         case.ambient,
     )
