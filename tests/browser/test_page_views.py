@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -809,6 +810,30 @@ def test_the_next_panel_is_shown_anew_when_a_pressing_took_what_was_said_unless_
     target.fill("90")
     feed.pressing(scans=40, batch=10)
     expect(page.get_by_role("link", name="lab-0000080").first).to_be_visible()
+    expect(target).to_have_value("90")
+
+
+def test_what_somebody_begins_to_type_while_the_next_panel_is_asked_for_anew_stays(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=40, batch=10)
+    page.goto(server.url + "#/now")
+    target = page.get_by_test_id("next-panel").get_by_label("Target")
+    expect(target).to_be_visible()
+    expect(page.get_by_role("link", name="lab-0000000").first).to_be_visible()
+    asked = []
+    page.route("**/press/next?*", lambda route: asked.append(route))
+    feed.pressing(scans=40, batch=10)
+    deadline = time.monotonic() + PATIENT_MS / 1000.0
+    while not asked:
+        assert time.monotonic() < deadline, "the page never asked for the next panel"
+        page.wait_for_timeout(20)
+    target.fill("90")
+    page.mouse.click(1, 1)
+    with page.expect_response("**/press/next?*") as answered:
+        asked[0].continue_()
+    answered.value.finished()
+    expect(page.get_by_role("link", name="lab-0000040").first).to_be_visible()
     expect(target).to_have_value("90")
 
 

@@ -17,9 +17,13 @@ export class PanelCards {
     this.load().catch((error) => this.next.replaceChildren(el("p", { class: "faint" }, error.message)));
   }
 
+  // What somebody began to type while the answer was on its way stays.
   async load() {
-    this.draw(await get("/press/next", { press: this.press }));
+    const said = await get("/press/next", { press: this.press });
+    if (!this.inUse()) this.draw(said);
   }
+
+  inUse() { return this.typed || this.next.contains(document.activeElement); }
 
   draw(said) {
     this.typed = false;
@@ -76,7 +80,7 @@ export class PanelCards {
   follow(run) {
     const before = this.begun;
     this.begun = run;
-    if (before !== undefined && run !== before && !this.typed && !this.next.contains(document.activeElement)) this.load().catch(() => {});
+    if (before !== undefined && run !== before && !this.inUse()) this.load().catch(() => {});
   }
 
   async ask(run) {
