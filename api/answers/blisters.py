@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,7 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
 
     runs = every(lambda at: store.runs(press=press, cursor=at, limit=500))
     marked = [run for run in runs if run.header.get(VERDICT) in (GOOD, BLISTER)][:MOST]
-    steam = [_STEAM.get((store.label, r.run, r.last_scan), partial(_at_opening, store, r.run)) for r in marked]
+    steam = _steam_of(store, marked)
     log = np.array(steam).reshape(-1, 2)
     burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
     believed = believed_limit(resin)
@@ -57,6 +56,12 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
         sentences=[str(line) for line in lines],
         sentences_said=[said_of(line) for line in lines],
     )
+
+
+def _steam_of(store: Store, marked: Sequence[RunRecord]) -> list[tuple[float, float]]:
+    keys = [(store.label, run.run, run.last_scan) for run in marked]
+    found = _STEAM.get_all(keys, lambda lacking: {key: _at_opening(store, key[1]) for key in lacking})
+    return [found[key] for key in keys]
 
 
 def _panel(run: RunRecord, mean: float, sd: float) -> MarkedPanel:

@@ -134,11 +134,10 @@ def predict(asked: PredictOptions) -> None:
 
 def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:
     """Refuse coefficients the press does not have, raising `InputError`; warn of another press's model."""
-    from softsensor.heat.model_reading import check_coefficient_names
+    from softsensor.heat.model_reading import check_press
 
-    check_coefficient_names(model.coefficients, presses, str(path))
-    if model.press not in ("", presses[0].name):
-        warn(say("terminal-model-of-another-press", path=str(path), other=model.press, press=presses[0].name))
+    if (doubt := check_press(model, presses, str(path))) is not None:
+        warn(doubt)
 
 
 def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, float]:

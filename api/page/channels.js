@@ -7,8 +7,12 @@ export function roleOf(name) {
   return name.startsWith("platen") ? "platen" : name.startsWith("top") ? "top" : name.startsWith("bottom") ? "bottom" : name.startsWith("core") ? "core" : "other";
 }
 
+// What each place is drawn in.
+export const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
+
 // What the channels of one place are called together.
 export const GROUPS = { platen: "page-platens", top: "page-sensors-top", bottom: "page-sensors-bottom" };
+export const groupName = (role) => GROUPS[role] && text(GROUPS[role]);
 
 // What was read, or that the live sensor leaves it out and why.
 export function standing(quality, leftOut) {

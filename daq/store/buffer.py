@@ -150,8 +150,7 @@ class Buffer:
             self._do(lambda c: _note(c, session, content))
         except (sqlite3.Error, OSError) as error:
             if session in self._held:
-                said = say("buffer-refuses", file=str(self.path), error=str(error))
-                raise StoreUnavailable(said) from error
+                raise StoreUnavailable(self.refusal(error)) from error
             self._unkept.add(session)
         else:
             self._unkept.discard(session)
@@ -159,6 +158,10 @@ class Buffer:
             self._known.pop(session, None)
         else:
             self._known[session] = content
+
+    def refusal(self, error: Exception) -> Message:
+        """Return in words why the file takes nothing."""
+        return say("buffer-refuses", file=str(self.path), error=str(error))
 
     def notes(self) -> Mapping[int, dict[str, Any]]:
         """Return what is known of all sessions."""

@@ -324,12 +324,7 @@ class Outbox:
             return
         try:
             self._buffer.append(self._waiting)
-        except (
-            sqlite3.Error,
-            OSError,
-            ValueError,
-            TypeError,
-        ) as error:  # the last two: one that no text stands for
+        except (sqlite3.Error, OSError, ValueError, TypeError) as error:  # the last two: no text stands for it
             self._tell_of_buffer(error)
             return
         self._buffer_trouble = False
@@ -339,8 +334,7 @@ class Outbox:
     def _tell_of_buffer(self, error: Exception) -> None:
         if not self._buffer_trouble and self._buffer is not None:
             self._buffer_trouble = True
-            why = say("buffer-refuses", file=str(self._buffer.path), error=str(error))
-            self._journal("alarm", say("scans-wait", why=why, where=self.capacity))
+            self._journal("alarm", say("scans-wait", why=self._buffer.refusal(error), where=self.capacity))
 
     def _drain(self) -> None:
         """Write the buffer's content; what is put meanwhile goes behind it, durably."""
@@ -349,10 +343,8 @@ class Outbox:
                 rows = self._buffer.oldest(_AT_ONCE)
             except (sqlite3.Error, OSError) as error:  # a store that is well does not wait for its buffer
                 if any(isinstance(x, WriteBatch) and self._placement.waits_for_place(x) for x in self._waiting):
-                    said = say("buffer-refuses", file=str(self._buffer.path), error=str(error))
-                    raise StoreUnavailable(
-                        said
-                    ) from error  # the place of what waits here is behind what is in there
+                    # the place of what waits here is behind what is in there
+                    raise StoreUnavailable(self._buffer.refusal(error)) from error
                 self._tell_of_buffer(error)
                 return
             if not rows:

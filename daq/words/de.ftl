@@ -736,6 +736,7 @@ model-file-no-coefficients = { $file }: keine Modelldatei: der Schlüssel 'coeff
 model-file-no-json = { $file }: keine Modelldatei in JSON: { $error }
 model-file-no-numbers = { $file }: { $place } = { $value }: braucht die Zahlen value und sd
 model-file-no-table = { $file }: { $place } muss ein Objekt aus NAME: {"{"}value, sd{"}"} sein
+model-file-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; die eigenen Pressungen dieser Presse anpassen
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } hat { $known }
 model-file-part = { $file }: { $key } ist nicht, wie fit, diagnose und der nächtliche Lauf es schreiben; berichtigen oder den Schlüssel weglassen
 model-file-sd = { $file }: { $place }.sd = { $value }: eine Standardabweichung muss eine Zahl sein, mindestens 0
@@ -1728,7 +1729,6 @@ terminal-list-status = Stand
 terminal-list-token = Zugang
 terminal-method-unknown = --method { $method }: muss eins von { $known } sein
 terminal-model-in-force-again = { $press }: Modell { $version } gilt wieder
-terminal-model-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; die eigenen Pressungen dieser Presse anpassen
 terminal-needs-package = kerntemp publish braucht { $package }: kerntemp[plant] installieren
 terminal-no-channel-rose = kein Kanal stieg eindeutig ({ $rises }); eine Messstelle länger halten, und nur diese
 terminal-no-store-here = kein Datenspeicher: weder { $config } noch { $store } ist hier; --store oder --config angeben

@@ -736,6 +736,7 @@ model-file-no-coefficients = { $file }: not a model file: key 'coefficients' is 
 model-file-no-json = { $file }: not a JSON model file: { $error }
 model-file-no-numbers = { $file }: { $place } = { $value }: needs numbers value and sd
 model-file-no-table = { $file }: { $place } must be an object of NAME: {"{"}value, sd{"}"}
+model-file-of-another-press = { $path } is of press '{ $other }', the press file is of '{ $press }': coefficients of another press make a wrong core look certain; fit this press's own runs
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } has { $known }
 model-file-part = { $file }: { $key } is not as fit, diagnose and the nightly job write it; correct it, or leave the key out
 model-file-sd = { $file }: { $place }.sd = { $value }: a standard deviation must be a number, at least 0
@@ -1718,7 +1719,6 @@ terminal-list-status = status
 terminal-list-token = token
 terminal-method-unknown = --method { $method }: must be one of { $known }
 terminal-model-in-force-again = { $press }: model { $version } is in force again
-terminal-model-of-another-press = { $path } is of press '{ $other }', the press file is of '{ $press }': coefficients of another press make a wrong core look certain; fit this press's own runs
 terminal-needs-package = kerntemp publish needs { $package }: install kerntemp[plant]
 terminal-no-channel-rose = no single channel rose clearly ({ $rises }); hold one junction longer, alone
 terminal-no-store-here = no store: neither { $config } nor { $store } is here; give --store or --config

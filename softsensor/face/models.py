@@ -10,7 +10,7 @@ from daq.given import path_of
 from daq.press.press_file import Press, overridden
 from daq.words import say
 from softsensor.heat.model_file import ModelFile
-from softsensor.heat.model_reading import check_coefficient_names, check_model
+from softsensor.heat.model_reading import check_model, check_press
 from softsensor.jobs.model_files import read_model as read_model_file
 
 if TYPE_CHECKING:
@@ -56,8 +56,6 @@ def model_for(model: AnyModel, press: Press, header: Mapping[str, Any]) -> Model
     """
     found = read_model(model)
     place = say("place-model", version=found.version)
-    check_coefficient_names(found.coefficients, (press, overridden(press, header, place)), place)
-    if found.press not in ("", press.name):
-        said = say("terminal-model-of-another-press", path=place, other=found.press, press=press.name)
+    if (said := check_press(found, (press, overridden(press, header, place)), place)) is not None:
         warnings.warn(str(said), stacklevel=3)
     return found

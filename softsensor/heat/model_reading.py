@@ -208,6 +208,20 @@ def check_coefficient_names(given: Mapping[str, Any], presses: Sequence[Press], 
         raise InputError(say("coefficient-unknown", where=where, name=str(unknown[0]), press=press, known=known))
 
 
+def check_press(model: ModelFile, presses: Sequence[Press], where: str | Message) -> Message | None:
+    """Return the doubt about a model of another press, None for one of this. Raises `InputError`.
+
+    Parameters
+    ----------
+    presses
+        As the press file describes it, and as the run's header does: a coefficient of one of them is enough.
+    """
+    check_coefficient_names(model.coefficients, presses, where)
+    if model.press in ("", presses[0].name):
+        return None
+    return say("model-file-of-another-press", path=where, other=model.press, press=presses[0].name)
+
+
 def _check_parameters(
     effect: Effect, table: Mapping[str, FittedValue], number: int, source: str | Message
 ) -> None:

@@ -23,6 +23,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from softsensor.diagnosis.search import Candidate, candidates_for, search, settle_base
 from softsensor.diagnosis.selection import p_values
+from softsensor.diagnosis.sign_flips import saved_by_most
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import Need, catalogue
 from softsensor.heat.model import ThermalModel
@@ -54,10 +55,8 @@ def main(runs: int, kind: str, first_seed: int, campaigns: int) -> None:
 
 
 def summed(candidate: Candidate) -> float:
-    """Return what all runs but the third that saves most save by the others' numbers, 0 for a clock."""
-    if candidate.effect.needs == Need.SWITCH:
-        return 0.0
-    return float(np.sort(candidate.gains)[: len(candidate.gains) - len(candidate.gains) // 3].sum())
+    """Return what most runs save by the others' numbers, 0 for a clock."""
+    return 0.0 if candidate.effect.needs == Need.SWITCH else saved_by_most(candidate.gains)
 
 
 if __name__ == "__main__":

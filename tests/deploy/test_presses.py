@@ -19,7 +19,7 @@ from daq.recording.recorder import record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.press import PressSettings, VirtualPress
-from daq.store import RunStatus, open_store
+from daq.store import RunStatus, Store, open_store
 from tests.patience import wait_until
 
 COLUMNS = (
@@ -34,6 +34,11 @@ SPEED = 20.0
 def answer(address: str) -> dict[str, Any]:
     with urlopen(address) as reply:
         return dict(json.load(reply))
+
+
+def has_run(store: Store, press: str, recorder: threading.Thread) -> bool:
+    assert recorder.is_alive(), "the recorder ended"
+    return bool(store.runs(press=press, status=RunStatus.CLOSED).items)
 
 
 def test_two_presses_are_recorded_by_one_process_into_one_database_and_shown_on_one_page(tmp_path, postgresql_url):
@@ -71,7 +76,7 @@ def test_two_presses_are_recorded_by_one_process_into_one_database_and_shown_on_
         thread.start()
         try:
             for name in presses:
-                wait_until(lambda press=name: store.runs(press=press, status=RunStatus.CLOSED).items)
+                wait_until(lambda press=name: has_run(store, press, thread))
         finally:
             stop.set()
             thread.join(240)

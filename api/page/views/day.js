@@ -1,13 +1,13 @@
 // A day of a press, in pressings and between them: the lowest and highest reading of each step of time.
 import { get } from "../api.js";
-import { roleOf } from "../channels.js";
+import { COLOURS, GROUPS, groupName, roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { el, midnight, number, table } from "../dom.js";
 import { locale, said, text } from "../words.js";
 
 const STEPS = 600; // two pixels each on a wide screen
 const BRIDGE_S = 600; // of old days every hundredth idle scan is kept: a line goes on through such silences
-const GROUPS = { platen: ["page-platens", "--platen"], top: ["page-sensors-top", "--top"], bottom: ["page-sensors-bottom", "--bottom"] };
+const PLACES = Object.keys(GROUPS);
 
 const written = (date) => `${date.getFullYear()}-${String(date.getMonth() + 1).padStart(2, "0")}-${String(date.getDate()).padStart(2, "0")}`;
 const beside = (day, days) => written(new Date(midnight(day, days)));
@@ -69,7 +69,7 @@ function curves(scans, from) {
     const known = Object.entries(scans.columns).filter(([name]) => roleOf(name) === role).map(([, column]) => column[side][i]).filter((value) => value !== null);
     return known.length ? better(...known) : null;
   });
-  return [scans.scans.map((_, i) => zero + (i + 0.5) * scans.step_s), ...Object.keys(GROUPS).flatMap((role) => [extreme(role, "high", Math.max), extreme(role, "low", Math.min)])];
+  return [scans.scans.map((_, i) => zero + (i + 0.5) * scans.step_s), ...PLACES.flatMap((role) => [extreme(role, "high", Math.max), extreme(role, "low", Math.min)])];
 }
 
 // How much faster than the clock a press runs: only a demonstration's does.
@@ -89,13 +89,13 @@ export function phasesOf(runs, from, speed) {
 
 function draw(holder, { whole, phases, says, label }) {
   const chart = new TimeChart(holder, {
-    series: Object.values(GROUPS).flatMap(([code, colour]) => [{ name: `${text(code)}: ${text("page-highest")}`, colour, kind: "line" }, { name: `${text(code)}: ${text("page-lowest")}`, colour, kind: "line", dash: [4, 3] }]),
+    series: PLACES.flatMap((role) => [["page-highest"], ["page-lowest", [4, 3]]].map(([end, dash]) => ({ name: `${groupName(role)}: ${text(end)}`, colour: COLOURS[role], kind: "line", dash }))),
     height: 420, label, xLabel: text("page-started"), xSays: says, xSteps: [1, 5, 15, 60, 300, 900, 1800, 3600, 7200, 10800, 14400, 21600, 43200],
     phases, bridge: BRIDGE_S, release: text("page-day-whole"),
   });
   chart.tipHead = (x) => [says(x, "medium"), phases.find((phase) => phase.run && phase.from_s <= x && x <= phase.to_s)?.run].filter(Boolean).join(" · ");
   chart.set(whole);
-  holder.append(key(Object.values(GROUPS).map(([code, colour]) => ({ name: text(code), colour }))), el("p", { class: "small faint" }, text("page-day-hint")));
+  holder.append(key(PLACES.map((role) => ({ name: groupName(role), colour: COLOURS[role] }))), el("p", { class: "small faint" }, text("page-day-hint")));
   return chart;
 }
 

@@ -1,7 +1,7 @@
 // Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
 import { announce } from "../announce.js";
 import { get } from "../api.js";
-import { GROUPS, roleOf, standing } from "../channels.js";
+import { COLOURS, groupName, roleOf, standing } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
@@ -13,7 +13,6 @@ import { sketch } from "./sketch.js";
 
 const KEEP_ROWS = 20000;
 const FACTS_MS = 400;
-const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
 
 export async function show(place, context) {
   const live = new LivePress(place, context);
@@ -226,7 +225,7 @@ class LivePress {
     const height = Math.max(240, Math.min(380, innerHeight * 0.4));
     this.chart = new CoreChart(this.canvas, { height, measured: this.inner });
     this.faceChart = new TimeChart(this.faces, {
-      series: this.outer.map((name) => ({ name, colour: COLOURS[role(name)], kind: "thin", group: GROUPS[role(name)] && text(GROUPS[role(name)]) })),
+      series: this.outer.map((name) => ({ name, colour: COLOURS[role(name)], kind: "thin", group: groupName(role(name)) })),
       height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS,
     });
     this.redraw();

@@ -3,7 +3,7 @@ import { download, get, url } from "../api.js";
 import { TimeChart, calmRange, key } from "../charts.js";
 import { began, duration, el, number, table, when } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
-import { GROUPS, roleOf } from "../channels.js";
+import { COLOURS, groupName, roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { cureOf, steamOf } from "./answer.js";
 import { showBlisters } from "./blisters.js";
@@ -171,9 +171,8 @@ const STRAY = ["channel-loose", "channel-drifting", "channel-swapped"];
 function measuredCard(run, samples, estimates, fit) {
   const stray = new Set((fit?.warnings_said ?? []).filter(({ code }) => STRAY.includes(code)).map((one) => one.arguments.column));
   const names = Object.keys(samples.columns).filter((name) => name !== "closed");
-  const colour = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
   const series = [...names.map((name) => (stray.has(name) ? { name, colour: "--bad", kind: "stray", dash: [3, 4], note: text("page-sensor-stray") }
-    : { name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin", group: GROUPS[roleOf(name)] && text(GROUPS[roleOf(name)]) })),
+    : { name, colour: COLOURS[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin", group: groupName(roleOf(name)) })),
     { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true }];
   const { times, lift } = grid(samples.time_s, estimates.time_s);
   const ok = (values) => values.map((value, i) => (estimates.valid[i] ? value : null));
