@@ -163,8 +163,9 @@ def _rules(settings: Config) -> Rules | None:
 def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:
     """Tell of a press's night and write its page; return what went wrong, in this and in its fits."""
     from softsensor.jobs.night import reason_of
-    from softsensor.jobs.night_judgement import FAILED, PROCESS
+    from softsensor.jobs.night_judgement import FAILED
     from softsensor.jobs.night_record import night_record
+    from softsensor.jobs.run_reader import PROCESS
     from softsensor.report.night_report import write_report
 
     if outcome.verdict == FAILED:
@@ -184,6 +185,7 @@ def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Messa
         failed.append(why)
     if outcome.archive_problem is not None:
         failed.append(outcome.archive_problem)
+    failed += outcome.unread
     if outcome.newly_unfit:
         unfit = {"failed": outcome.newly_unfit, "runs": outcome.runs}
         failed.append(say("terminal-refit-unfit", press=outcome.press, **unfit))

@@ -17,7 +17,7 @@ from api.answers.schemas import Problem
 from api.answers.words import said_of
 from api.http.http_compatibility import ENDLESS
 from daq.records import InputError
-from daq.store.records import ArchiveUnreadable, StoreUnavailable
+from daq.store.records import ScansUnreadable, StoreUnavailable
 from daq.tables import why_of
 from daq.words import Message, say, spoken
 
@@ -63,7 +63,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(InputError, _input)
     app.add_exception_handler(StoreUnavailable, _store)
-    app.add_exception_handler(ArchiveUnreadable, _store)
+    app.add_exception_handler(ScansUnreadable, _store)
     app.add_exception_handler(Exception, _unexpected)
 
 

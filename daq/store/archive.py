@@ -42,8 +42,9 @@ from daq.store.database import Database
 from daq.store.estimate_file import EstimateRow, beside, write_estimates
 from daq.store.origin import header_for_file
 from daq.store.proved_file import SUM, Written, sound_content
-from daq.store.reading import layout_channels, run_record, run_row, scans_of
+from daq.store.reading import layout_channels, run_record, run_row
 from daq.store.records import ArchiveUnreadable, Moved, RunCore, RunStatus, StoreUnavailable
+from daq.store.run_scans import scans_of
 from daq.store.schema import ARCHIVE, ARCHIVE_TOTAL, ESTIMATE, FIT, PRESS, RUN, SCAN, SCAN_REMARK, UNFITTED
 from daq.words import Message, say, spoken
 

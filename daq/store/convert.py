@@ -78,12 +78,12 @@ def readings_json(values: Sequence[float]) -> str:
 
 
 def readings_table(texts: Sequence[str], width: int) -> Array:
-    """Parse the values of many scans at once."""
+    """Parse the values of many scans at once; raises `ValueError` or `TypeError` where one cannot be read."""
     if not texts or not width:
         return np.empty((len(texts), width))
-    bare = [text[1:-1] for text in texts]
     if len(texts) < MANY:
-        return np.array(json.loads(f"[{','.join(bare)}]"), dtype=float).reshape(len(texts), width)
+        return _of_width(np.array(json.loads(f"[{','.join(texts)}]"), dtype=float), len(texts), width)
+    bare = [text[1:-1] for text in texts]
     names = [str(i) for i in range(width)]
     table = pacsv.read_csv(
         pa.py_buffer("\n".join(bare).encode()),
@@ -91,7 +91,13 @@ def readings_table(texts: Sequence[str], width: int) -> Array:
         pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
         pacsv.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=["null"]),
     )
-    return np.array([column.to_numpy() for column in table.columns]).T
+    return _of_width(np.array([column.to_numpy() for column in table.columns]).T, len(texts), width)
+
+
+def _of_width(table: Array, scans: int, width: int) -> Array:
+    if table.shape != (scans, width):
+        raise ValueError(f"{table.shape} is not {(scans, width)}")
+    return table
 
 
 def faults_json(channels: Sequence[Channel], qualities: Sequence[Quality]) -> str | None:

@@ -25,6 +25,7 @@ from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
 from daq.store.file_rescue import Identity, hold, identity_of, log_cut, logs_of, rescue, settle
 from daq.store.records import StoreUnavailable
+from daq.store.sound_rows import store_label
 from daq.words import Message, say
 
 # Numbers without another source were set by hand, 2026-11.
@@ -60,10 +61,9 @@ class Database:
     ) -> None:
         self.address = Address(url)
         self.url = store_url(self.address)
-        self.label = self.url.set(query={}).render_as_string(hide_password=True)
+        self.label = store_label(self.url)
         self.path = Path(self.url.database) if self.dialect == "sqlite" and self.url.database else None
         if self.path:
-            self.label = str(self.path)
             _check_place(self.path, create)
         self.engine = self._make_engine(busy_s)
         self._busy_s = busy_s

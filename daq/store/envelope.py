@@ -1,8 +1,9 @@
 """What a press recorded between two instants, thinned for a chart: each step's lowest and highest values.
 
 Scans are read in pieces and folded at once, so that a day takes the memory of some thousand scans. Those of
-archived runs come from their files; where such a file cannot be read, its run is named. Time goes by the scans'
-own clock: where it was set back, scans are found as far as their numbers lie between the instants asked for.
+archived runs come from their files; where such a file cannot be read, its run is named. A scan that is damaged in
+the store has no value here. Time goes by the scans' own clock: where it was set back, scans are found as far as
+their numbers lie between the instants asked for.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from sqlalchemy import Connection, func, select
 
 from daq.records import Array, InputError
 from daq.store.archived import archived_scans
-from daq.store.convert import readings_table
-from daq.store.reading import first_number_from, layout_channels, recorded_id, usable_values
+from daq.store.reading import first_number_from, layout_channels, recorded_id
+from daq.store.run_scans import usable_values
 from daq.store.schema import ARCHIVE, RUN, SCAN
+from daq.store.sound_rows import is_object, readings_with_gaps
 from daq.words import Message
 from daq.words.message import spoken
 
@@ -90,9 +92,11 @@ def _in_table(
     streamed = connection.execute(query.order_by(SCAN.c.number), execution_options={"yield_per": _ROWS})
     for rows in streamed.partitions(_ROWS):
         for layout in dict.fromkeys(row.layout_id for row in rows):
-            own = [row for row in rows if row.layout_id == layout]
+            own = [
+                row for row in rows if row.layout_id == layout and (row.faults is None or is_object(row.faults))
+            ]
             width = len(layout_channels(connection, layout))
-            table = readings_table([row.readings for row in own], width)
+            table, _ = readings_with_gaps([row.readings for row in own], width)
             columns = _columns(connection, layout, table, [row.faults for row in own])
             yield np.array([row.unix_s for row in own]), columns
 

@@ -18,7 +18,11 @@ class StoreUnavailable(RuntimeError):
     """The store cannot do it now: locked, full, read-only, unreachable. The text says what to do."""
 
 
-class ArchiveUnreadable(InputError):
+class ScansUnreadable(InputError):
+    """What is stored of a run cannot be read any more. The text says of which, where, and what to do."""
+
+
+class ArchiveUnreadable(ScansUnreadable):
     """A file of the archive is missing or is not what was written. The text says which and what to do."""
 
 

@@ -27,6 +27,7 @@ from daq.store import (
     reading,
     recording,
     results,
+    run_scans,
     upkeep,
 )
 from daq.store.archive import Checked
@@ -149,9 +150,9 @@ class Store:
     run_cores = _reads(cores.run_cores)
     open_run = _reads(reading.open_run)
     ended_runs_after = _reads(reading.ended_runs_after)
-    load_run = _reads(reading.load_run)
-    columns_of = _reads(reading.columns_of)
-    units_of = _reads(reading.units_of)
+    load_run = _reads(run_scans.load_run)
+    columns_of = _reads(run_scans.columns_of)
+    units_of = _reads(run_scans.units_of)
     configuration_of = _reads(reading.configuration_of)
     newest_scan_number = _reads(reading.newest_number)
     scans_after = _reads(reading.scans_after)
@@ -167,8 +168,8 @@ class Store:
     ) -> Run:
         """Return a run as `load_run` does, with what a file carries on: start, life, remark, texts."""
         with self.database.reading() as connection:
-            loaded = reading.load_run(connection, run, columns, from_s, to_s)
-            said = reading.remarks_of(connection, run, from_s, to_s) if columns is None else {}
+            loaded = run_scans.load_run(connection, run, columns, from_s, to_s)
+            said = run_scans.remarks_of(connection, run, from_s, to_s) if columns is None else {}
             header = header_for_file(reading.run_record(connection, run))
             return replace(loaded, header=header, texts={**loaded.texts, **said})
 

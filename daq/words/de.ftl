@@ -480,6 +480,7 @@ store-damaged = Datenspeicher { $store }: die Datei ist beschädigt: { $error };
 store-file-gone = Datenspeicher { $store }: die Datei wurde gelöscht oder verschoben; ein laufendes kerntemp record legt sie wieder an, sonst die neueste Sicherung einspielen
 store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und hängt von einer ab, die diese Version ändert; sie löschen, neu starten und sie neu anlegen
 store-gives-no-reason = ohne Angabe eines Grundes
+store-header-damaged = ihre Kopfdaten sind im Datenspeicher beschädigt und nicht lesbar; die neueste Sicherung mit kerntemp backup --restore herstellen
 store-header-wrong = { $file }: Kopfzeile { $key } = { $value }: muss { $wanted } sein; berichtigen oder weglassen
 store-is-closed = Datenbank { $store }: ist geschlossen; mit daq.open_store wieder öffnen
 store-is-folder = Datenspeicher { $store }: ist ein Ordner; den Pfad einer Datei darin angeben
@@ -512,7 +513,9 @@ store-run-missing = Pressung '{ $run }' ist nicht im Datenspeicher; kerntemp exp
 store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Bytes sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert
 store-run-renamed = Pressung '{ $run }': der Name einer Pressung lässt sich nicht ändern
 store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nichts wurde importiert; die Kopfzeile run ändern
+store-scan-damaged = Messzeile { NUMBER($scan, useGrouping: 0) } ist im Datenspeicher { $store } beschädigt und nicht lesbar; die anderen Pressungen sind es; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
 store-scan-taken = Presse { $press }: Messzeile { $scan } ist schon mit anderen Werten da; ein anderer Rekorder schreibt für diese Presse: einen der beiden beenden
+store-scans-damaged = ihre Messzeilen sind im Datenspeicher { $store } beschädigt und nicht lesbar; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
 store-trying-again = { $why }; neue Versuche folgen
 store-url-at = Das Passwort in der URL des Datenspeichers enthält ein @: als %40 schreiben
 store-url-mistyped = Die URL des Datenspeichers ist weder ein Dateipfad noch eine ganze URL (nicht gezeigt, sie kann ein Passwort enthalten); einen Dateipfad oder postgresql://benutzer:passwort@rechner/name angeben
@@ -1264,6 +1267,7 @@ press-problem = { $press }: { $problem }
 run-fit-again = Pressung { $run }: der Rechenprozess wurde abgebrochen oder reagierte nicht mehr, ein anderer wertet sie aus; vermutlich ist Arbeitsspeicher knapp
 run-fit-killed = Pressung { $run } konnte nicht ausgewertet werden: der Rechenprozess wurde zweimal abgebrochen oder reagierte nicht mehr; vermutlich fehlt Arbeitsspeicher
 run-not-fitted = Pressung { $run } konnte nicht ausgewertet werden: { $why }
+run-not-judged = Pressung { $run } blieb beim nächtlichen Urteil außen vor: { $why }
 run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts auszuwerten
 sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Aktualisierung: etwa eine Minute
 sense-following = folgt { $presses }

@@ -480,6 +480,7 @@ store-damaged = store { $store }: the file is damaged: { $error }; take a backup
 store-file-gone = store { $store }: the file was deleted or moved; a running kerntemp record puts it back, else restore the newest backup
 store-foreign-view = store { $store }: view { $view } is not Kerntemp's and depends on one that this version changes; drop it, start again, and create it again
 store-gives-no-reason = it gives no reason
+store-header-damaged = its header is damaged in the store and cannot be read; restore the newest backup with kerntemp backup --restore
 store-header-wrong = { $file }: header key { $key } = { $value }: must be { $wanted }; correct it or remove the key
 store-is-closed = store { $store }: is closed; open it again by daq.open_store
 store-is-folder = store { $store }: is a folder; give the path of a file in it
@@ -512,7 +513,9 @@ store-run-missing = run '{ $run }' is not in the store; kerntemp export lists ru
 store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks or blanks at its ends; nothing was imported
 store-run-renamed = run '{ $run }': the name of a run cannot change
 store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was imported; change the header key run
+store-scan-damaged = scan { NUMBER($scan, useGrouping: 0) } is damaged in store { $store } and cannot be read; the other runs can; restore a backup beside the store with kerntemp backup --restore and take the run from there
 store-scan-taken = press { $press }: scan { $scan } is there already with other values; another recorder writes to this press: stop one of them
+store-scans-damaged = its scans are damaged in store { $store } and cannot be read; restore a backup beside the store with kerntemp backup --restore and take the run from there
 store-trying-again = { $why }; trying again
 store-url-at = the password in the store's url holds an @: write it as %40
 store-url-mistyped = the store's url is neither a file path nor a whole URL (not shown: it may hold a password); give a file path or postgresql://user:password@host/name
@@ -1248,6 +1251,7 @@ press-problem = { $press }: { $problem }
 run-fit-again = run { $run }: its worker process was killed or stopped responding; another one is fitting it; memory may be short
 run-fit-killed = run { $run } could not be fitted: its worker process was killed or stopped responding, twice; memory may be short
 run-not-fitted = run { $run } could not be fitted: { $why }
+run-not-judged = run { $run } was left out of the night's judgement: { $why }
 run-nothing-to-fit = run { $run } has no panel sensors: nothing to fit
 sense-compiling = compiling the model, once after an installation or an update: about a minute
 sense-following = following { $presses }

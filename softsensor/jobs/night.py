@@ -32,7 +32,7 @@ from softsensor.jobs.night_judgement import (
     DIAGNOSED_RUNS,
     FAILED,
     FEWEST_RUNS,
-    PROCESS,
+    JUDGES,
     Night,
     NightOutcome,
     judge_night,
@@ -40,9 +40,11 @@ from softsensor.jobs.night_judgement import (
 from softsensor.jobs.night_progress import Agenda, agenda_of
 from softsensor.jobs.night_sure import settled
 from softsensor.jobs.retention import Kept
+from softsensor.jobs.run_reader import PROCESS, RunReader
 
 LOG = logging.getLogger("kerntemp.refit")
 ROLLED_BACK = "model-rolled-back"
+Level = Literal["warning", "alarm"]
 NOTHING_KEPT = Kept()
 
 # Numbers without another source were set by hand, 2026-11.
@@ -83,9 +85,14 @@ def refit_press(
     good = [r for r in agenda.window if r.run in fits]
     progress = replace(agenda.progress, basis=_basis(press, good))
     if base is None or agenda.progress.basis != progress.basis:
-        progress = replace(progress, bets=_bets(store, press, base, agenda, good[-DIAGNOSED_RUNS:]))
-        night = Night(store, name, press, base, agenda.window, fits, progress.bets.sure)
+        reader = RunReader(store, name)
+        good = reader.newest(good, DIAGNOSED_RUNS + JUDGES)
+        progress = replace(progress, bets=_bets(reader, press, base, agenda, good[-DIAGNOSED_RUNS:]))
+        fits = {r.run: fits[r.run] for r in good}
+        night = Night(store, name, press, base, agenda.window, fits, progress.bets.sure, reader)
         outcome = judge_night(night, outcome)
+        left_out = (*outcome.left_out, *reader.left_out.items())
+        outcome = replace(outcome, left_out=left_out[:SHOWN_LEFT_OUT], unread=tuple(reader.left_out.values()))
     if active is not None and not outcome.promoted and _came_from_sisters(store, active):
         reason = Message.from_json(active.model["basis"]["reason"])
         outcome = replace(outcome, promoted=True, reason=reason)
@@ -150,12 +157,13 @@ class _Tally:
             self._leave_out("alarm", one.run, say("run-fit-killed", run=one.run))
             self.store.put_unfitted(one.run, self.press, "killed", "")
         elif one.why is not None:
-            self._leave_out("warning", one.run, say("run-not-fitted", run=one.run, why=one.why))
+            level: Level = "alarm" if one.damaged else "warning"
+            self._leave_out(level, one.run, say("run-not-fitted", run=one.run, why=one.why))
             self.store.put_unfitted(one.run, self.press, "unfit", mark)
         else:
             self.store.put_unfitted(one.run, self.press, "blind", mark)
 
-    def _leave_out(self, level: Literal["warning", "alarm"], run: str, why: Message) -> None:
+    def _leave_out(self, level: Level, run: str, why: Message) -> None:
         self.newly_unfit += 1
         self.left_out.append((run, why))
         self.store.log(level, PROCESS, why, self.press)
@@ -179,12 +187,14 @@ def _worked_off(store: Store, name: str, agenda: Agenda, tally: _Tally, base: Mo
     )
 
 
-def _bets(store: Store, press: Press, base: ModelFile | None, agenda: Agenda, good: Sequence[RunRecord]) -> Bets:
+def _bets(
+    reader: RunReader, press: Press, base: ModelFile | None, agenda: Agenda, good: Sequence[RunRecord]
+) -> Bets:
     """Return the bets on whether the model in force leaves something out, with those of new runs settled."""
     may_have_made_it = agenda.window if base is not None and base.effects else ()
     made_of = max((r.number for r in may_have_made_it), default=0)
     bets = agenda.progress.bets.facing(agenda.progress.rests_on, made_of)
-    return settled(bets, store, press, base, good) if len(good) >= FEWEST_RUNS else bets
+    return settled(bets, reader, press, base, good) if len(good) >= FEWEST_RUNS else bets
 
 
 def _basis(press: Press, records: Sequence[RunRecord]) -> str:

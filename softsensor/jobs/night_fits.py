@@ -11,6 +11,7 @@ from daq.address import Address
 from daq.press.press_file import Press
 from daq.records import InputError
 from daq.store import Store, StoreUnavailable, open_store
+from daq.store.records import ScansUnreadable
 from daq.supervision import unexpected
 from daq.words import Message, spoken
 from softsensor.heat.model_file import ModelFile
@@ -37,6 +38,8 @@ class Done:
     why: Message | None = None
     killed: bool = False
     """Two workers were killed over it."""
+    damaged: bool = False
+    """What is stored of it cannot be read any more."""
 
 
 @lru_cache(maxsize=4)
@@ -60,7 +63,7 @@ def fit_stored(task: FitTask) -> Done:
     except StoreUnavailable:
         raise
     except InputError as error:
-        return Done(task.run, why=spoken(error))
+        return Done(task.run, why=spoken(error), damaged=isinstance(error, ScansUnreadable))
     except Exception as error:  # noqa: BLE001 - the other runs' fits must not end with this one
         return Done(task.run, why=unexpected(error))
 

@@ -33,12 +33,11 @@ from softsensor.jobs.fitter import fit_one
 from softsensor.jobs.model_in_force import combined_model, next_version, with_stored_fits
 from softsensor.jobs.night_progress import nights_for
 from softsensor.jobs.night_sure import held_back, unsure_causes
+from softsensor.jobs.run_reader import PROCESS, RunReader
 from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
 from softsensor.signals.moments import moments_of
 from softsensor.signals.student import student
-
-PROCESS = "refit"
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -92,7 +91,9 @@ class NightOutcome:
     later: int = 0
     """Older runs whose fits rest on a press file or effects of before: their turn comes in nights to come."""
     left_out: tuple[tuple[str, Message], ...] = ()
-    """Runs of this night that could not be fitted, and why; the first `SHOWN_LEFT_OUT`."""
+    """Runs of this night that could not be fitted or read, and why; the first `SHOWN_LEFT_OUT`."""
+    unread: tuple[Message, ...] = ()
+    """Of runs that had a fit and could not be read for the judgement, why."""
     drifts: tuple[tuple[str, Message], ...] = ()
     """Coefficients that have left what is usual, and what is said of each."""
     named: tuple[str, ...] = ()
@@ -144,15 +145,21 @@ class Night:
     """Of these, as far as they stand."""
     sure: str = ""
     """The run since which it is sure that the model in force leaves something out, empty where it is not."""
+    reader: RunReader | None = None
+    """What reads the runs; None: one of its own."""
 
     @property
     def of_sisters(self) -> bool:
         """Whether the model in force is what presses of the same kind know."""
         return self.base is not None and self.base.sisters is not None
 
+    def run(self, name: str) -> Run | None:
+        """Return a stored run, None where it cannot be read any more."""
+        return (self.reader or RunReader(self.store, self.name)).read(name)
+
     def runs(self, names: Sequence[str]) -> list[Run]:
-        """Return stored runs by name."""
-        return [self.store.load_run(name) for name in names]
+        """Return stored runs by name, those that can be read."""
+        return [run for name in names if (run := self.run(name)) is not None]
 
 
 def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
@@ -266,9 +273,9 @@ def _rolled_back(night: Night, candidate: ModelFile) -> str:
 def _fits_with(night: Night, candidate: ModelFile, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Fit the judging runs with a candidate's effects."""
     found = {}
-    for run in runs:
+    for run in night.runs(runs):
         with suppress(InputError):
-            found[run] = fit_one(night.press, night.store.load_run(run), candidate)
+            found[run.name] = fit_one(night.press, run, candidate)
     return found
 
 
@@ -461,7 +468,9 @@ def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Ar
     for record in night.records[: -CORE_SEARCHED - 1 : -1]:
         if count >= CORE_RUNS:
             break
-        run = night.store.load_run(record.run)
+        run = night.run(record.run)
+        if run is None:
+            continue
         core = measured_core(night.press, run)
         if not np.isfinite(core).any():
             continue

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from daq.press.press_file import Press
-from daq.store import RunRecord, Store
+from daq.store import RunRecord
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.bets import Bets
+from softsensor.jobs.run_reader import RunReader
 
 
-def settled(bets: Bets, store: Store, press: Press, base: ModelFile | None, records: Sequence[RunRecord]) -> Bets:
+def settled(
+    bets: Bets, reader: RunReader, press: Press, base: ModelFile | None, records: Sequence[RunRecord]
+) -> Bets:
     """Return the bets with those of some fitted runs settled that have not had their turn, oldest first.
 
     `records`: the newest runs, oldest first, new and old: all tell how runs scatter.
@@ -26,9 +29,10 @@ def settled(bets: Bets, store: Store, press: Press, base: ModelFile | None, reco
     from softsensor.diagnosis.run_scores import run_scores
 
     model = ThermalModel(press) if base is None else base.model(press)
-    scores = run_scores(model, press, [store.load_run(r.run) for r in records])
+    read = [(record, run) for record in records if (run := reader.read(record.run)) is not None]
+    scores = run_scores(model, press, [run for _, run in read])
     beyond = {name: shown.beyond.tolist() for name, shown in scores.items()}
-    for i, record in enumerate(records):
+    for i, (record, _) in enumerate(read):
         if record in fresh:
             bets = bets.after(record.run, record.number, {name: s[i] for name, s in beyond.items()})
     return bets

@@ -14,7 +14,7 @@ from typing import Any
 from daq.records import InputError
 from daq.store import Store, StoreUnavailable
 from daq.words import Message, say, spoken
-from softsensor.jobs.night_judgement import PROCESS
+from softsensor.jobs.run_reader import PROCESS
 
 # Numbers without another source were set by hand, 2026-11.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from daq.press.press_file import Press
+from daq.records import InputError
 from daq.store import RunRecord, RunStatus, Store, StoreUnavailable
 from daq.supervision import unexpected
 from daq.words import Message, say, spoken
@@ -121,12 +122,16 @@ class RunFits:
             yield
         except StoreUnavailable:
             raise
+        except InputError as error:  # it cannot be read any more, say
+            self._without(run, spoken(error))
         except Exception as error:  # the live sensor must not end, nor begin again, for one run's fit
             LOG.exception("fit of %s", run)
-            why = unexpected(error)
-            write_journal(self.store, "alarm", say("run-not-fitted", run=run, why=why), self.name)
-            self._under_way.pop(run, None)
-            self._due.discard(run)
+            self._without(run, unexpected(error))
+
+    def _without(self, run: str, why: Message) -> None:
+        write_journal(self.store, "alarm", say("run-not-fitted", run=run, why=why), self.name)
+        self._under_way.pop(run, None)
+        self._due.discard(run)
 
     def _tell_replaced(self) -> None:
         """Journal the fits whose worker was killed and replaced: once each, and again where the store refused."""

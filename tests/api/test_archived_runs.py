@@ -3,11 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+from sqlalchemy import select, update
 
 import daq
 from api.cli import main
+from daq.store.schema import SCAN
 from tests.api.conftest import STARTED
 
+PRESS_FILE = str(Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml")
 RUN = "lab-2026-03-04-01"
 SCANS = "scans?press=lab&from=2026-03-04T07:00:00Z&to=2026-03-04T08:00:00Z&points=60"
 PATHS = (
@@ -29,6 +32,39 @@ def asked(client):
 def exported(store, folder):
     assert main(["export", RUN, "--out", str(folder / "run.csv"), "--store", str(store.database.path)]) == 0
     return (folder / "run.csv").read_bytes()
+
+
+def test_a_run_with_a_damaged_scan_is_told_by_every_path_and_command_that_needs_it_and_the_others_answer(
+    store, client, tmp_path, capsys
+):
+    others = client.get("/api/v1/runs/lab-2026-03-04-02/samples").content
+    first = store.run_record(RUN).first_scan
+    row = update(SCAN).where(SCAN.c.number == first + 40)
+    with store.database.writing() as connection:
+        kept = connection.execute(select(SCAN.c.readings).where(SCAN.c.number == first + 40)).scalar_one()
+        connection.execute(row.values(readings=kept[: len(kept) // 2]))
+    try:
+        for path in ("samples", "samples?format=csv", "samples?format=parquet", "figure.svg", "simulation"):
+            answer = client.get(f"/api/v1/runs/{RUN}/{path}")
+            assert (path, answer.status_code) == (path, 503)
+            assert answer.headers["content-type"].startswith("application/problem+json")
+            told = answer.json()
+            assert told["detail_said"]["code"] == "of-run"
+            assert f"run {RUN}: scan {first + 40} is damaged" in told["detail"]
+            assert "kerntemp backup --restore" in told["detail"]
+        assert client.get("/api/v1/runs/lab-2026-03-04-02/samples").content == others
+        assert client.get("/api/v1/runs").status_code == 200
+        assert client.get(f"/api/v1/{SCANS}").status_code == 200
+        for command in (["export", RUN, "--out"], ["fit", RUN, "--press", PRESS_FILE, "--json"]):
+            assert main([*command, str(tmp_path / "x.csv"), "--store", str(store.database.path)]) == 2
+            said = capsys.readouterr().err
+            assert said.count("\n") == 1
+            for part in (RUN, f"scan {first + 40}", str(store.database.path), "kerntemp backup --restore"):
+                assert part in said
+            assert not (tmp_path / "x.csv").exists()
+    finally:
+        with store.database.writing() as connection:
+            connection.execute(row.values(readings=kept))
 
 
 def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(store, client, tmp_path, capsys):

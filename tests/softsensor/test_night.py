@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import event
+from sqlalchemy import event, update
 
 from api.cli import main
 from daq.press.press_file import parse_press
@@ -23,6 +23,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import StoreUnavailable, archive, open_store
 from daq.store.proved_file import sound_content
+from daq.store.schema import SCAN
 from daq.supervision import unexpected
 from daq.words import say
 from daq.words.message import words
@@ -135,6 +136,45 @@ def test_each_run_is_bet_on_once_wherever_a_night_is_killed(store, runs, monkeyp
     fill(store, [replace(runs[0], name="later")])
     refit_press(store, "lab", PRESS, workers=1)
     assert (bets().models, bets().runs, bets().counted) == (2, 0, store.run_record("later").number)
+
+
+def damage_of(store, kind, run, tmp_path):
+    if kind == "a row":
+        first = store.run_record(run).first_scan
+        with store.database.writing() as connection:
+            connection.execute(update(SCAN).where(SCAN.c.number == first + 5).values(readings="[20.1,"))
+    else:
+        store.use_archive(tmp_path / "archive")
+        store.archive_run(run)
+        [file] = (tmp_path / "archive").rglob(f"*-{run}.parquet")
+        file.write_bytes(file.read_bytes()[:-200])
+
+
+@pytest.mark.parametrize("kind", ["a row", "a file of the archive"])
+@pytest.mark.parametrize("fitted", [True, False], ids=["fitted before", "not fitted yet"])
+def test_a_run_that_cannot_be_read_is_left_out_with_an_alarm_and_the_night_goes_on(
+    store, runs, tmp_path, kind, fitted
+):
+    fill(store, runs[:3])
+    if fitted:
+        assert refit_press(store, "lab", PRESS, workers=1).fitted == 3
+        store.annotate_run(runs[0].name, {"panel.density_kg_m3": 700.0}, "tester")
+    damage_of(store, kind, runs[1].name, tmp_path)
+    fill(store, runs[3:])
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert outcome.fitted == (2 if fitted else 3)
+    [(run, why)] = outcome.left_out
+    assert run == runs[1].name
+    assert ("scan" if kind == "a row" else "archive file") in str(why)
+    if fitted:
+        assert outcome.unread == (why,)
+    assert outcome.verdict != nightly_judge.FAILED
+    alarms = [e.message.code for e in store.journal(press="lab", level="alarm").items]
+    assert alarms == ["run-not-judged" if fitted else "run-not-fitted"]
+    (told,) = store.nights(press="lab", limit=1).items
+    assert [entry["run"] for entry in told.night["left_out"]] == [runs[1].name]
+    again = refit_press(store, "lab", PRESS, workers=1)
+    assert (again.fitted, again.unread) == (0, ())
 
 
 def without_panel_sensors(run):
@@ -646,7 +686,7 @@ def test_a_report_that_cannot_be_written_keeps_no_press_from_its_night(tmp_path,
     assert main(["refit", "--config", str(config)]) == 1
     told = capsys.readouterr().err
     with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
-        assert nightly_judge.PROCESS in store.statuses(), "the job came to its end"
+        assert nightly.PROCESS in store.statuses(), "the job came to its end"
         warnings = store.journal(level="warning").items
     for press in ("lab", "north"):
         assert any(entry.press == press and "cannot write the report" in str(entry.message) for entry in warnings)

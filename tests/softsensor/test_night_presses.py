@@ -11,9 +11,9 @@ from daq.store import open_store
 from daq.words import Message
 from softsensor.jobs import nights as fleet
 from softsensor.jobs.night import refit_press
-from softsensor.jobs.night_judgement import PROCESS
 from softsensor.jobs.nights import refit_presses
 from softsensor.jobs.retention import Rules
+from softsensor.jobs.run_reader import PROCESS
 from tests.softsensor import test_night
 from tests.softsensor.test_night import PRESS, configured
 

@@ -24,7 +24,7 @@ from api.http.routes.common import BeganDep, PageDep, PressName, StoreDep, exist
 from daq.files.qualities import spans_of
 from daq.files.run_file import write_run
 from daq.records import InputError, Run
-from daq.store.records import ArchiveUnreadable, RunRecord, RunStatus, StoredEstimate
+from daq.store.records import RunRecord, RunStatus, ScansUnreadable, StoredEstimate
 from daq.store.store import Store
 from daq.words import say, spoken
 
@@ -126,7 +126,7 @@ def get_samples(
     try:
         load = store.load_run if format == "json" else store.run_for_file
         whole = load(run, names, part.from_s, part.to_s)
-    except ArchiveUnreadable:
+    except ScansUnreadable:
         raise
     except InputError as error:
         raise ProblemError(404, spoken(error)) from error
@@ -170,7 +170,7 @@ def get_fit(store: StoreDep, run: str) -> Fit:
 def _estimates_of(store: Store, run: str) -> Sequence[tuple[float, StoredEstimate]]:
     try:
         return store.estimates(run)
-    except ArchiveUnreadable:
+    except ScansUnreadable:
         raise
     except InputError as error:  # given up by rule
         raise ProblemError(404, spoken(error)) from error

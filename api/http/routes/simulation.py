@@ -18,7 +18,7 @@ from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import StoreDep, existing_run
 from daq.press.press_file import parse_press, press_for_run
 from daq.records import InputError
-from daq.store.records import ArchiveUnreadable, ModelRecord, RunRecord
+from daq.store.records import ModelRecord, RunRecord, ScansUnreadable
 from daq.store.store import Store
 from daq.words import say, spoken
 from daq.words.message import ENGLISH, languages
@@ -131,7 +131,7 @@ def _recorded(store: Store, run: str) -> dict[str, Any]:
     try:
         whole = store.load_run(run)
         told = [(t, e) for t, e in store.estimates(run) if e.valid]
-    except ArchiveUnreadable:
+    except ScansUnreadable:
         raise
     except InputError as error:  # given up by rule
         raise ProblemError(404, spoken(error)) from error
@@ -182,5 +182,7 @@ def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
         given = (file.values if file else {}) | dict(known.values)
         values = guesses | {name: value for name, value in given.items() if name in guesses}
         return simulate_run(run, press, model, values, known.moments)
+    except ScansUnreadable:
+        raise
     except InputError as error:
         raise ProblemError(404, say("api-run-not-simulated", run=record.run, why=spoken(error))) from error

@@ -21,7 +21,7 @@ from daq.press.header import LIMITS, NumberLimits
 from daq.press.press_file import parse_press
 from daq.press.resin_file import Resin, read_resin
 from daq.records import InputError
-from daq.store.records import ArchiveUnreadable, RunRecord
+from daq.store.records import RunRecord, ScansUnreadable
 from daq.store.store import Store
 from daq.words import say, spoken
 from softsensor.planning.program import FACTORS, Factor
@@ -82,7 +82,7 @@ def _worked_out(
         pressed = _pressed(store, record, resins.get(record.press))
         known = settings_known(pressed.run, pressed.press, pressed.moments)
         found = what_if(pressed, settings)
-    except ArchiveUnreadable:
+    except ScansUnreadable:
         raise
     except InputError as error:
         raise ProblemError(409, spoken(error)) from error

@@ -1,0 +1,125 @@
+"""What rows of the store say, and one error for those that cannot be read any more.
+
+A text that is no JSON any more, a value too few, a page that the disk has torn: each is `ScansUnreadable`, with
+the run, the scan where one is known, the store and what to do.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, Row
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import DBAPIError
+
+from daq.records import Array, InputError
+from daq.store.convert import header_of, readings_table
+from daq.store.records import ScansUnreadable
+from daq.words import Message, say
+
+Whose = Callable[..., Message]
+"""Puts the run or the press before what is said."""
+
+_TORN = ("XX001", "XX002")
+"""What a PostgreSQL server answers where a page of a table or an index is damaged (its manual, appendix A)."""
+
+
+def of_run(run: str) -> Whose:
+    """Return what says whose rows they are."""
+    return partial(say, "of-run", run=run)
+
+
+def of_all(what: Message) -> Message:
+    """Say of no run in particular."""
+    return what
+
+
+def store_label(url: URL) -> str:
+    """Return a store's path or URL without its password, for messages."""
+    if url.get_backend_name() == "sqlite" and url.database:
+        return url.database
+    return url.set(query={}).render_as_string(hide_password=True)
+
+
+def readings_of(connection: Connection, whose: Whose, rows: Sequence[tuple[int, str]], width: int) -> Array:
+    """Return the values of scans, number and text of each; raises `ScansUnreadable` where one cannot be read."""
+    table, unreadable = readings_with_gaps([text for _, text in rows], width)
+    if unreadable:
+        raise _damaged(connection, whose, rows[unreadable[0]][0])
+    return table
+
+
+def readings_with_gaps(texts: Sequence[str], width: int) -> tuple[Array, list[int]]:
+    """Return the values of scans, NaN in those that cannot be read, and which these are."""
+    try:
+        return readings_table(texts, width), []
+    except (ValueError, TypeError, RecursionError):
+        table, unreadable = np.full((len(texts), width), np.nan), []
+    for i, text in enumerate(texts):
+        try:
+            table[i] = readings_table([text], width)
+        except (ValueError, TypeError, RecursionError):
+            unreadable.append(i)
+    return table, unreadable
+
+
+def sound_texts(connection: Connection, whose: Whose, numbers: Sequence[int], texts: Sequence[str | None]) -> None:
+    """See that what stands beside scans is JSON objects; raises `ScansUnreadable` where one is not."""
+    unsound = {text for text in set(texts) if text is not None and not is_object(text)}
+    if unsound:
+        raise _damaged(connection, whose, next(n for n, t in zip(numbers, texts, strict=True) if t in unsound))
+
+
+def is_object(text: str) -> bool:
+    """Whether a text is a JSON object."""
+    try:
+        return isinstance(json.loads(text), dict)
+    except (ValueError, TypeError, RecursionError):
+        return False
+
+
+def stored_header(row: Row[Any]) -> dict[str, Any]:
+    """Return the header of a run's row; raises `ScansUnreadable` where it cannot be read."""
+    try:
+        return header_of(row.header_toml)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise ScansUnreadable(of_run(row.run)(what=say("store-header-damaged"))) from error
+
+
+@contextmanager
+def sound(connection: Connection, whose: Whose) -> Iterator[None]:
+    """Turn what damage to the store's own file, or to numbers in it, raises into `ScansUnreadable`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except DBAPIError as error:
+        if not _torn(error):
+            raise
+        raise _all_damaged(connection, whose) from error
+    except (TypeError, ValueError) as error:
+        raise _all_damaged(connection, whose) from error
+
+
+def _torn(error: DBAPIError) -> bool:
+    """Whether an engine found what it keeps damaged, and not just out of reach."""
+    reason = error.orig
+    if isinstance(reason, sqlite3.Error):
+        code = getattr(reason, "sqlite_errorcode", None)
+        return (code is not None and code & 0xFF == sqlite3.SQLITE_CORRUPT) or "decode to UTF-8" in str(reason)
+    return getattr(reason, "sqlstate", None) in _TORN
+
+
+def _damaged(connection: Connection, whose: Whose, scan: int) -> ScansUnreadable:
+    said = say("store-scan-damaged", scan=scan, store=store_label(connection.engine.url))
+    return ScansUnreadable(whose(what=said))
+
+
+def _all_damaged(connection: Connection, whose: Whose) -> ScansUnreadable:
+    return ScansUnreadable(whose(what=say("store-scans-damaged", store=store_label(connection.engine.url))))
