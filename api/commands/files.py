@@ -30,7 +30,7 @@ from daq.words import Message, say, spoken
 if TYPE_CHECKING:
     from daq.files.documents import ExitStatus
     from daq.press.press_file import Press
-    from daq.process.config import PressSettings
+    from daq.process.config import Config, PressSettings
     from daq.records import Run
     from daq.store.store import Store
 
@@ -226,12 +226,30 @@ def check(
     settings = load_config(path)
     tell(say("terminal-check-well-formed", path=str(path)))
     say_doubts(press.header for press in settings.press)
+    failed = _try_buffer(settings)
     with opened_store(None, path, create=True) as store:
         tell(say("terminal-check-store-opens", store=store.label))
-    failed = [] if offline else [line for press in settings.press for line in _read_loggers(press)]
+    if not offline:
+        failed += [line for press in settings.press for line in _read_loggers(press)]
     if failed:
         failures = " – ".join(in_words(one) for one in failed)
         raise InputError(say("terminal-check-failed", path=str(path), failures=failures))
+
+
+def _try_buffer(settings: Config) -> list[Message]:
+    """See that scans can wait where the configuration says while a server is away; return why they cannot."""
+    from daq.store.buffer_place import try_place
+    from daq.store.database import store_url
+
+    buffer = settings.store.buffer
+    if buffer is None or store_url(settings.store.url).get_backend_name() == "sqlite":  # a file never goes away
+        return []
+    try:
+        hours = try_place(buffer, settings.scans_per_second)
+    except InputError as error:
+        return [spoken(error)]
+    tell(say("terminal-check-buffer", file=str(buffer), hours=hours))
+    return []
 
 
 def _read_loggers(press: PressSettings) -> list[Message]:

@@ -217,6 +217,11 @@ class Config(_Table):
             raise ValueError(say("config-press-twice", press=twice[0]))
         return self
 
+    @property
+    def scans_per_second(self) -> float:
+        """How many scans of all presses are taken in a second of the wall clock."""
+        return sum(press.rate_hz for press in self.press) * self.clock.speed
+
     def press_named(self, name: str | None = None) -> PressSettings:
         """Return the press of that name, the first where none is asked for."""
         found = [p for p in self.press if name in (None, p.name)]

@@ -164,7 +164,7 @@ def _outbox(
     return Outbox(
         store,
         buffer=config.store.buffer if store.database.dialect != "sqlite" else None,
-        per_second=sum(settings.rate_hz for settings in config.press) * config.clock.speed,
+        per_second=config.scans_per_second,
         gather_s=_GATHER_S if config.clock.speed > 1 else 0.0,
         acknowledged=acknowledged,
         journal=journal,

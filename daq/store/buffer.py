@@ -135,11 +135,7 @@ class Buffer:
 
     def hours_left(self, per_second: float) -> float:
         """Return how long the disk takes scans at this rate, 0 where its folder is gone. [h]"""
-        try:
-            free = shutil.disk_usage(self.path.parent).free
-        except OSError:
-            return 0.0
-        return free / (_OVERHEAD * self._bytes * per_second) / 3600.0
+        return hours_of_room(self.path.parent, per_second, self._bytes)
 
     def note(self, session: int, content: dict[str, Any] | None) -> None:
         """Keep what is known of a session; None forgets it.
@@ -233,6 +229,15 @@ class Buffer:
             self._alarm(say(code, kept=len(rows), lost=lost, **said))
         else:
             self._alarm(say("buffer-gone", file=str(self.path), error=str(error), lost=lost))
+
+
+def hours_of_room(folder: Path, per_second: float, batch_bytes: float = _TYPICAL_BYTES) -> float:
+    """Return how long the disk of a folder takes scans at this rate, 0 where the folder is gone. [h]"""
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError:
+        return 0.0
+    return free / (_OVERHEAD * batch_bytes * per_second) / 3600.0
 
 
 def set_aside(beside: Path, text: str, why: str) -> Path:

@@ -447,6 +447,10 @@ buffer-damaged = Puffer { $file } ist beschädigt ({ $error }): als { $aside } b
 buffer-damaged-uncounted = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben; wie viele verloren sind, ist nicht bekannt, mindestens { $lost }; die Aufzeichnung läuft weiter
 buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count } Einträge sind verloren; die Aufzeichnung läuft weiter
 buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Einträge sind verloren; die Aufzeichnung läuft weiter
+buffer-place-is-folder = store.buffer = { $file }: ist ein Ordner; eine Datei darin angeben
+buffer-place-no-folder = store.buffer = { $file }: den Ordner { $folder } gibt es nicht; ihn anlegen oder eine andere Datei angeben
+buffer-place-no-permission = keine Rechte zum Lesen und Schreiben
+buffer-place-refused = store.buffer = { $file }: { $reason }; Besitzer und Einbindung des Ordners und den Platz auf dem Datenträger prüfen oder eine andere Datei angeben
 buffer-refuses = Puffer { $file }: { $error }; auf seinem Datenträger Platz schaffen
 buffer-row-unreadable = Puffer { $file }: ein Eintrag ist nicht lesbar ({ $error }); er liegt nun in { $aside }
 buffer-sum-wrong = Prüfsumme falsch
@@ -1684,6 +1688,7 @@ terminal-calibrate-not-kept = { $logger }: Versatz nicht aufgehoben; ihm den Nam
 terminal-calibrate-write-needs-room = calibrate: --write braucht --room
 terminal-channel-verdict = { $channel } { $verdict }
 terminal-channels-fail = { $bad } von { $all } Kanälen bestehen die Prüfung nicht: { $names }
+terminal-check-buffer = Puffer { $file }: lässt sich schreiben, Platz für { NUMBER($hours, maximumFractionDigits: 1) } h Messzeilen
 terminal-check-failed = { $path }: { $failures }
 terminal-check-logger-failed = Presse { $press }, Messgerät { $logger }: { $why }
 terminal-check-store-opens = Datenspeicher { $store }: lässt sich öffnen

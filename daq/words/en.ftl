@@ -447,6 +447,10 @@ buffer-damaged = buffer { $file } is damaged ({ $error }): set aside as { $aside
 buffer-damaged-uncounted = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on; how many are lost is not known, { $lost } at least; recording goes on
 buffer-emptied = buffer { $file }: somebody deleted it; { $count } entries are lost; recording goes on
 buffer-gone = buffer { $file } is gone ({ $error }): created again; { $lost } entries are lost; recording goes on
+buffer-place-is-folder = store.buffer = { $file }: is a folder; give a file in it
+buffer-place-no-folder = store.buffer = { $file }: folder { $folder } does not exist; create it, or give another file
+buffer-place-no-permission = no permission to read and write
+buffer-place-refused = store.buffer = { $file }: { $reason }; check its folder's owner and mount and the space on its disk, or give another file
 buffer-refuses = buffer { $file }: { $error }; free space on its disk
 buffer-row-unreadable = buffer { $file }: an entry cannot be read ({ $error }); it is set aside in { $aside }
 buffer-sum-wrong = its checksum is wrong
@@ -1674,6 +1678,7 @@ terminal-calibrate-not-kept = { $logger }: offsets not kept; give it the name of
 terminal-calibrate-write-needs-room = calibrate: --write needs --room
 terminal-channel-verdict = { $channel } { $verdict }
 terminal-channels-fail = { $bad } of { $all } channels fail the check: { $names }
+terminal-check-buffer = buffer { $file }: can be written, room for { NUMBER($hours, maximumFractionDigits: 1) } h of scans
 terminal-check-failed = { $path }: { $failures }
 terminal-check-logger-failed = press { $press }, logger { $logger }: { $why }
 terminal-check-store-opens = store { $store }: opens
