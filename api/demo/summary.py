@@ -203,7 +203,7 @@ def diagnosis_lines(hidden: Sequence[str], diagnosis: Mapping[str, Any] | None) 
     lines = [say("demo-hidden", effects=tuple(hidden))] if hidden else []
     if diagnosis is None:
         return [*lines, say("demo-no-diagnosis")]
-    verdict = Message(f"page-verdict-{diagnosis.get('verdict')}")
+    verdict = Message(f"diagnosis-verdict-{diagnosis.get('verdict')}")
     effects = diagnosis.get("effects", [])
     named = tuple(called(name) for effect in effects for name in effect.get("set") or [effect["name"]])
     causes = say("demo-named", verdict=verdict, causes=named)

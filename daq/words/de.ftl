@@ -924,6 +924,13 @@ core-shift = { $at ->
 core-thermocouples = Kernfühler, die in keine Anpassung eingingen, liegen { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem einfachen und { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem erweiterten Modell.
 core-unchanged = Es kam keine Ursache hinzu, die Kernschätzung bleibt also, wie sie ist.
 diagnosis-no-runs = keine Pressungen für die Diagnose; mindestens eine Laufdatei angeben
+diagnosis-verdict-ambiguous = Ursache eingegrenzt
+diagnosis-verdict-failed = gescheitert
+diagnosis-verdict-named = Ursache benannt
+diagnosis-verdict-no_effect = kein Effekt
+diagnosis-verdict-not_described = das Modell beschreibt die Pressungen nicht
+diagnosis-verdict-too_few_runs = zu wenige Pressungen
+diagnosis-verdict-unknown_effect = unbekannter Effekt
 gain-hardly = { $causes ->
         [one] Damit
        *[other] Mit ihnen
@@ -1024,7 +1031,7 @@ worth-moves = { $change ->
        *[lowers] senkt
     } { $coefficient } ({ $bodies }) um { NUMBER($percent, maximumFractionDigits: 0) } %
 worth-moves-nothing = ändert keinen Koeffizienten über den Zufall hinaus
-worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen, im Mittel über die Pressungen
+worth-saves = senkt das Residuum einer typischen ausgelassenen Pressung um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (geometrisches Mittel über die Pressungen)
 
 ## softsensor.diagnosis.laws: what is missing as a free function
 
@@ -1249,12 +1256,12 @@ night-nothing-changed = nichts hat sich geändert
 night-outcome =
     { $press }: { $fits }; Diagnose: { $verdict ->
         [not_asked] nicht gefragt
-        [no_effect] nichts fehlt
+        [no_effect] kein Effekt
         [named] Ursache benannt
-        [ambiguous] Ursachen, die sich nicht unterscheiden lassen
-        [unknown_effect] eine unbekannte Ursache bleibt
+        [ambiguous] Ursache eingegrenzt
+        [unknown_effect] unbekannter Effekt
         [too_few_runs] zu wenige Pressungen
-        [not_described] das Modell beschreibt diese Pressungen nicht
+        [not_described] das Modell beschreibt die Pressungen nicht
        *[other] siehe ihren Bericht
     }; { $model ->
         [promoted] Modell { $version } in Kraft gesetzt
@@ -1514,8 +1521,8 @@ report-program = Ein nie gefahrenes Programm
 report-program-of = Vorhergesagt für { $settings } (95 % der Pressungen)
 report-residual-fitted = Residuum aller Fühler, angepasste Pressungen
 report-residual-kelvin = Residuum [K]
-report-residual-left-out = Residuum auf ausgelassenen Pressungen, eigene Kontakte angepasst
-report-residual-predicted = Residuum auf Pressungen, vorhergesagt nur aus Kopfdaten und den anderen Pressungen
+report-residual-left-out = Residuum auf ausgelassenen Pressungen, eigene Kontakte angepasst, quadratisches Mittel aller Pressungen
+report-residual-predicted = Residuum auf Pressungen, vorhergesagt nur aus Kopfdaten und den anderen Pressungen, quadratisches Mittel aller Pressungen
 report-run = Pressung
 report-run-not-described = { $runs ->
         [one] Die Pressung, die das Modell nicht beschreibt
@@ -1523,7 +1530,7 @@ report-run-not-described = { $runs ->
     }
 report-runs = Pressungen
 report-runs-that-know-it = Pressungen, die ihn kennen
-report-saved-left-out = gespart auf ausgelassenen Pressungen
+report-saved-left-out = gespart auf einer typischen ausgelassenen Pressung
 report-setting = { $name } = { $value } { $unit }
 report-shared = gemeinsam
 report-shared-note = In allen Pressungen war ein Wert verlangt: { $names }.
@@ -1542,12 +1549,6 @@ report-typical-run = { $runs ->
     }
 report-unknown = Was diese Pressungen nicht bestimmen können, und welche Messung es könnte
 report-value = Wert
-report-verdict-ambiguous = Ursache eingegrenzt
-report-verdict-named = Ursache benannt
-report-verdict-no_effect = Kein Effekt gefunden
-report-verdict-not_described = Das Modell beschreibt die Pressungen nicht
-report-verdict-too_few_runs = Zu wenige Pressungen
-report-verdict-unknown_effect = Etwas Unbekanntes
 report-what-is-wrong = Was falsch ist
 report-why = Warum
 report-why-and-remedy = warum, und welche Messung hilft
@@ -2398,12 +2399,12 @@ page-curves-hint = Die Pressung, die das einfache Modell am schlechtesten trifft
 page-curves-residual = { $place }: gemessen minus Modell
 page-earlier = Frühere Diagnosen
 page-effects = Effekte
-page-evidence = Belege: Gewinn auf ungesehenen Pressungen je Ursache
+page-evidence = Belege: Gewinn auf einer typischen ungesehenen Pressung, je Ursache
 page-evidence-other = Der längste Balken, { $cause }, ist nicht die Ursache oben: ein Balken zeigt, was eine Ursache allein spart; gewählt wird danach, wie sicher die Pressungen eine Ursache vorziehen.
 page-explains = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben
 page-gain-left-out = weniger Fehler in ausgelassenen Pressungen, eigene Kontakte angepasst
 page-gain-predicted = weniger Fehler in vorhergesagten Pressungen
-page-heldout = ausgelassen, eigene Kontakte angepasst
+page-heldout = ausgelassen, eigene Kontakte angepasst, quadratisches Mittel aller Pressungen
 page-heldout-gain = Gewinn auf ausgelassenen Pressungen
 page-luck = Wahrscheinlichkeit, dass es Zufall ist
 page-measured-there = Dort gemessen
@@ -2423,7 +2424,7 @@ page-parameter = Parameter
 page-place = Stelle
 page-plain-extended = einfach → erweitert
 page-plain-model = einfaches Modell
-page-predicted = vorhergesagte Pressungen
+page-predicted = vorhergesagt, quadratisches Mittel aller Pressungen
 page-promote = In Kraft setzen
 page-promote-question = Modellversion { $version } für die Live-Vorhersage in Kraft setzen?
 page-reason = Grund
@@ -2585,13 +2586,6 @@ page-time-from-closing = Zeit ab dem Schließen [s]
 page-unanswered = Der Server antwortet nicht.
 page-value = Wert
 page-verdict = Urteil
-page-verdict-ambiguous = Ursache eingegrenzt
-page-verdict-failed = gescheitert
-page-verdict-named = Ursache benannt
-page-verdict-no_effect = kein Effekt
-page-verdict-not_described = nicht beschrieben
-page-verdict-too_few_runs = zu wenige Pressungen
-page-verdict-unknown_effect = unbekannter Effekt
 page-views = Ansichten
 page-what = Was
 page-when = Wann

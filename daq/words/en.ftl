@@ -924,6 +924,13 @@ core-shift = { $at ->
 core-thermocouples = Core thermocouples, which took no part in any fit, are { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the plain model and { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the extended one.
 core-unchanged = No cause was added, so the core estimate stays as it is.
 diagnosis-no-runs = no runs to diagnose; give at least one run file
+diagnosis-verdict-ambiguous = cause narrowed down
+diagnosis-verdict-failed = failed
+diagnosis-verdict-named = cause named
+diagnosis-verdict-no_effect = no effect
+diagnosis-verdict-not_described = the model does not describe the runs
+diagnosis-verdict-too_few_runs = too few runs
+diagnosis-verdict-unknown_effect = unknown effect
 gain-hardly = With { $causes ->
         [one] it
        *[other] them
@@ -1007,7 +1014,7 @@ worth-hardly = hardly lowers the residual on runs left out ({ NUMBER($gain, mini
 worth-hardly-without-panel = hardly lowers the residual on runs left out ({ NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K); named because { $better } of { $runs } runs, each left out in turn, fit better with it; it { $moved }
 worth-moves = { $change } { $coefficient } ({ $bodies }) by { NUMBER($percent, maximumFractionDigits: 0) } %
 worth-moves-nothing = moves no coefficient beyond chance
-worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out, in the mean over the runs
+worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on a typical run left out (geometric mean over the runs)
 
 ## softsensor.diagnosis.laws: what is missing as a free function
 
@@ -1233,12 +1240,12 @@ night-nothing-changed = nothing changed
 night-outcome =
     { $press }: { $fits }; diagnosis: { $verdict ->
         [not_asked] not asked
-        [no_effect] nothing is missing
+        [no_effect] no effect
         [named] cause named
-        [ambiguous] causes that cannot be told apart
-        [unknown_effect] an unknown cause remains
+        [ambiguous] cause narrowed down
+        [unknown_effect] unknown effect
         [too_few_runs] too few runs
-        [not_described] the model does not describe these runs
+        [not_described] the model does not describe the runs
        *[other] see its report
     }; { $model ->
         [promoted] model { $version } promoted
@@ -1504,8 +1511,8 @@ report-program = A program never run
 report-program-of = Predicted for { $settings } (95 % of runs)
 report-residual-fitted = residual of all sensors, fitted runs
 report-residual-kelvin = rmse [K]
-report-residual-left-out = residual on runs left out, own contacts fitted
-report-residual-predicted = residual on runs predicted from header and other runs alone
+report-residual-left-out = residual on runs left out, own contacts fitted, root mean square of all runs
+report-residual-predicted = residual on runs predicted from header and other runs alone, root mean square of all runs
 report-run = run
 report-run-not-described = { $runs ->
         [one] The run that the model does not describe
@@ -1513,7 +1520,7 @@ report-run-not-described = { $runs ->
     }
 report-runs = runs
 report-runs-that-know-it = runs that know it
-report-saved-left-out = saved on runs left out
+report-saved-left-out = saved on a typical run left out
 report-setting = { $name } = { $value } { $unit }
 report-shared = shared
 report-shared-note = One value was asked for in all runs: { $names }.
@@ -1532,12 +1539,6 @@ report-typical-run = { $runs ->
     }
 report-unknown = What these runs cannot determine, and which measurement would
 report-value = value
-report-verdict-ambiguous = Cause narrowed down
-report-verdict-named = Cause named
-report-verdict-no_effect = No effect found
-report-verdict-not_described = The model does not describe the runs
-report-verdict-too_few_runs = Too few runs
-report-verdict-unknown_effect = Something unknown
 report-what-is-wrong = What is wrong
 report-why = Why
 report-why-and-remedy = why, and which measurement fixes it
@@ -2385,12 +2386,12 @@ page-curves-hint = The run the plain model fits worst. Dots: mean of the sensors
 page-curves-residual = { $place }: measured minus model
 page-earlier = Earlier diagnoses
 page-effects = Effects
-page-evidence = Evidence: gain on unseen runs by cause
+page-evidence = Evidence: gain on a typical unseen run, by cause
 page-evidence-other = The longest bar, { $cause }, is not the cause above: a bar is what a cause alone saves, and the choice rests on how surely the runs prefer a cause.
 page-explains = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common
 page-gain-left-out = less error in runs left out, their own contacts fitted
 page-gain-predicted = less error in predicted runs
-page-heldout = left out, own contacts fitted
+page-heldout = left out, own contacts fitted, root mean square of all runs
 page-heldout-gain = gain on runs left out
 page-luck = chance that it is luck
 page-measured-there = Measured there
@@ -2410,7 +2411,7 @@ page-parameter = Parameter
 page-place = Place
 page-plain-extended = plain → extended
 page-plain-model = plain model
-page-predicted = predicted runs
+page-predicted = predicted, root mean square of all runs
 page-promote = Promote
 page-promote-question = Use model version { $version } for the live prediction?
 page-reason = Reason
@@ -2572,13 +2573,6 @@ page-time-from-closing = Time from closing [s]
 page-unanswered = The server does not answer.
 page-value = Value
 page-verdict = Verdict
-page-verdict-ambiguous = cause narrowed down
-page-verdict-failed = failed
-page-verdict-named = cause named
-page-verdict-no_effect = no effect
-page-verdict-not_described = not described
-page-verdict-too_few_runs = too few runs
-page-verdict-unknown_effect = unknown effect
 page-views = Views
 page-what = What
 page-when = When

@@ -29,7 +29,7 @@ def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehea
         "diagnosis_report.html",
         language,
         press=found.final.fit.layout.model.press.name,
-        title=Message(f"report-verdict-{found.verdict}"),
+        title=Message(f"diagnosis-verdict-{found.verdict}"),
         sentence=verdict_said(found),
         runs=len(found.stages[0].data),
         findings=[_finding(found, f) for f in found.findings],

@@ -147,7 +147,7 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
     if diagnosis is None:
         return None
     return {
-        "verdict": Message(f"report-verdict-{diagnosis['verdict']}"),
+        "verdict": Message(f"diagnosis-verdict-{diagnosis['verdict']}"),
         "next": _said(diagnosis, "next_measurement"),
         "effects": [
             {

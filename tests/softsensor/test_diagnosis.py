@@ -210,7 +210,7 @@ def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
 def test_what_hardly_saves_kelvins_says_why_it_is_named_and_what_it_moves() -> None:
     found = diagnosed("edge_loss", 501, 7, 0.5)
     edge = found.findings[0]
-    assert str(worth(found, edge)).endswith("in the mean over the runs")
+    assert str(worth(found, edge)).endswith("on a typical run left out (geometric mean over the runs)")
     said = str(worth(found, replace(edge, gain=Gain(-0.0, (-0.1, 0.1)))))
     before, after = core_of(found.stages[0]), core_of(found.stages[1])
     assert "(0.00 of " in said

@@ -42,7 +42,7 @@ def values():
     yield from (f"page-state-{state}" for state in (*PressState, "unknown"))
     yield from (f"page-run-{status}" for status in RunStatus)
     yield from (f"effect-{effect.name}-called" for effect in BUILT_IN)
-    yield from (f"page-verdict-{verdict}" for verdict in Verdict)
+    yield from (f"diagnosis-verdict-{verdict}" for verdict in Verdict)
     yield from (f"page-panel-{verdict}" for verdict in VERDICTS)
     yield from (f"page-level-{level}" for level in ("warning", "alarm"))
     yield from (f"page-health-{status}" for status in ("ok", "degraded", "down"))

@@ -104,6 +104,8 @@ def test_a_night_has_words_of_its_own_for_every_verdict(language):
     verdicts = (*Verdict, NOT_ASKED, "of a newer version")
     lines = [words(say("night-outcome", **told, verdict=v), language) for v in verdicts]
     assert len(set(lines)) == len(Verdict) + 2
+    for verdict, line in zip(Verdict, lines, strict=False):  # the same as on the page and in the reports
+        assert words(Message(f"diagnosis-verdict-{verdict}"), language) in line
 
 
 @pytest.mark.parametrize("language", languages())

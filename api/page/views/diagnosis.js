@@ -29,7 +29,7 @@ function drawDiagnosis(holder, record) {
   const pair = (label, base, extended) => (base === null || base === undefined ? null
     : el("div", {}, el("b", {}, d.effects.length ? `${number(base, 2)} → ${number(extended, 2)} K` : `${number(base, 2)} K`), el("span", {}, `${label}: ${text(d.effects.length ? "page-plain-extended" : "page-plain-model")}`)));
   const cards = [el("section", { class: "card", "data-testid": "diagnosis" },
-    el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`page-verdict-${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
+    el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`diagnosis-verdict-${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
     el("p", { class: "verdict" }, sentence(d)),
     ...d.effects.map((effect) => effectBlock(effect, record.parameters)),
     d.suspected?.length ? el("p", { class: "small" }, `${text("page-suspected-causes")}: ${d.suspected.map((effect) => name(effect.name)).join(", ")}`) : null,
@@ -134,7 +134,7 @@ function whereCard(d) {
 
 function historyCard(items, choose) {
   return el("section", { class: "card" }, el("h2", {}, text("page-earlier")), table(text("page-earlier"), [{ text: text("page-started") }, { text: text("page-verdict") }, { text: text("page-cause") }],
-    items.map((item) => [el("button", { type: "button", class: "quiet", onclick: () => { choose(item); scrollTo({ top: 0 }); } }, clock(item.utc)), text(`page-verdict-${item.diagnosis.verdict}`), sentence(item.diagnosis)])));
+    items.map((item) => [el("button", { type: "button", class: "quiet", onclick: () => { choose(item); scrollTo({ top: 0 }); } }, clock(item.utc)), text(`diagnosis-verdict-${item.diagnosis.verdict}`), sentence(item.diagnosis)])));
 }
 
 function modelsCard(items) {

@@ -60,7 +60,7 @@ function leftOut(one) {
 }
 
 function named(one) {
-  const verdict = has(`page-verdict-${one.verdict}`) ? text(`page-verdict-${one.verdict}`) : text("page-night-not-asked");
+  const verdict = has(`diagnosis-verdict-${one.verdict}`) ? text(`diagnosis-verdict-${one.verdict}`) : text("page-night-not-asked");
   return el("div", {}, one.named.map((name) => el("p", {}, effectName(name))), el("p", { class: "small faint" }, verdict));
 }
 
