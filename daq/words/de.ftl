@@ -2325,7 +2325,7 @@ page-note = Notiz zu { $press }
 page-note-keep = Notieren
 page-note-kept = Die Notiz ist aufbewahrt
 page-press-events = Pressen
-page-repeated = { $count } mal in { $time }
+page-repeated = { $count }-mal in { $time }
 
 ## page: loggers
 

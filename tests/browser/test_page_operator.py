@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -112,7 +114,86 @@ def test_thirty_presses_stand_on_one_small_screen(served, browser, tmp_path):
     expect(page.locator(".press-tile")).to_have_count(30)
     page.screenshot(path=tmp_path / "presses.png", full_page=True)
     page.wait_for_function("document.querySelector('.presses').getBoundingClientRect().bottom <= innerHeight")
+    page.wait_for_function("""[...document.querySelectorAll('.press-tile > .row')].every((row) => {
+        const [name, state] = [...row.children].map((one) => one.getBoundingClientRect());
+        return state.top < name.bottom;  // beside it, not below
+    })""")
     page.close()
+
+
+@pytest.mark.parametrize("count", [3, 30])
+def test_the_band_of_a_tile_is_whole_and_few_tiles_keep_their_size(served, browser, count, tmp_path):
+    server, feed, _ = served
+    for number in range(2, count + 1):
+        feed.store.register_press(f"press-{number}", CHANNELS, LAB.read_text(encoding="utf-8"))
+    append = feed.store.append_estimates
+    hot = {"core_celsius": 107.3, "core_low_celsius": 104.2, "core_high_celsius": 110.4}
+    feed.store.append_estimates = lambda press, said: append(press, [replace(one, **hot) for one in said])
+    feed.pause_s = 0.02
+    writer = threading.Thread(target=feed.pressing, args=(60_000,), daemon=True)
+    writer.start()
+    page = browser.new_page(viewport={"width": 1280, "height": 800}, locale="de-DE")
+    page.goto(f"{server.url}#/presses")
+    band = page.locator(".press-tile .band").first
+    expect(band).to_have_text("104,2 … 110,4 °C")
+    page.wait_for_function(f"document.querySelector('.dense') {'=' if count == 3 else '!'}== null")
+    page.screenshot(path=tmp_path / "presses.png")
+    page.wait_for_function("(e) => e.scrollWidth <= e.clientWidth", arg=band.element_handle())
+    page.close()
+    feed.stop.set()
+    writer.join(240)
+
+
+def test_before_the_first_estimate_no_empty_axes_stand_on_the_wall_and_no_pressing_is_waited_for(served, tmp_path):
+    server, feed, page = served
+    append, feed.store.append_estimates = feed.store.append_estimates, lambda *_: None
+    feed.shares, feed.pause_s = (0.0, 0.001, 0.999), 0.02
+    writer = threading.Thread(target=feed.pressing, args=(60_000,), daemon=True)
+    writer.start()
+    page.route("**/samples*", lambda route: route.abort())  # on their way
+    page.goto(server.url + "#/now")
+    expect(page.locator("h2", has_text="Running pressing lab-0000000")).to_be_visible()
+    page.unroute("**/samples*")
+    page.goto(server.url + "#/wall")
+    expect(page.get_by_test_id("answer")).to_have_text("No prediction yet")
+    expect(page.locator(".wall-chart .u-wrap")).to_have_count(1)
+    page.screenshot(path=tmp_path / "wall.png")
+    expect(page.locator(".wall-chart .u-wrap")).to_be_hidden()
+    feed.store.append_estimates = append
+    expect(page.locator(".wall-chart .u-wrap")).to_be_visible()
+    feed.stop.set()
+    writer.join(240)
+
+
+def test_the_words_of_a_link_drawn_as_a_button_stand_in_its_middle_also_where_fingers_press_it(served, browser):
+    server, feed, _ = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=60, batch=10)
+    context = browser.new_context(has_touch=True, is_mobile=True, viewport={"width": 768, "height": 1024})
+    page = context.new_page()
+    page.goto(server.url + "#/runs/lab-0000000")
+    link = page.locator("a.button").first
+    expect(link).to_be_visible()
+    off = """(link) => {
+        const words = document.createRange();
+        words.selectNodeContents(link);
+        const [inner, outer] = [words, link].map((one) => one.getBoundingClientRect());
+        return [outer.height, Math.abs(inner.top + inner.bottom - outer.top - outer.bottom) / 2];
+    }"""
+    height, middle = link.evaluate(off)
+    assert height >= 44
+    assert middle <= 1
+    context.close()
+
+
+def test_channels_of_several_presses_are_listed_with_their_press(served):
+    server, feed, page = served
+    feed.store.register_press("north press", CHANNELS, LAB.read_text(encoding="utf-8"))
+    page.goto(server.url + "#/loggers")
+    rows = page.get_by_test_id("loggers").get_by_role("row", name="platen_top")
+    expect(rows).to_have_count(2)
+    expect(rows.filter(has_text="lab")).to_have_count(1)
+    expect(rows.filter(has_text="north press")).to_have_count(1)
 
 
 def test_a_press_with_a_long_name_does_not_make_a_narrow_screen_scroll_sideways(served, browser, tmp_path):

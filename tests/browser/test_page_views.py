@@ -445,7 +445,7 @@ def test_a_diagnosis_shows_measured_plain_extended_and_residual_curves(plant, br
     ("language", "words"),
     [
         ("en-GB", ("69 scans left out", "2 times in", "The press closes", "Note at lab", "Keep note", "warning")),
-        ("de-DE", ("69 Messzeilen", "2 mal in", "Die Presse schließt", "Notiz zu lab", "Notieren", "Warnung")),
+        ("de-DE", ("69 Messzeilen", "2-mal in", "Die Presse schließt", "Notiz zu lab", "Notieren", "Warnung")),
     ],
 )  # fmt: skip
 def test_the_journal_groups_what_repeats_and_holds_press_events_and_notes(plant, served, browser, language, words):

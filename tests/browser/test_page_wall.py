@@ -143,12 +143,30 @@ def test_the_time_from_closing_goes_on_while_the_core_does(pressing, view):
     expect(since).not_to_have_text(before)
 
 
+IN_COLOUR = """
+const {fillText: write, clearRect: clear} = CanvasRenderingContext2D.prototype;
+CanvasRenderingContext2D.prototype.fillText = function (words, ...at) {
+    (this.canvas.written ??= {})[words] = this.fillStyle;
+    return write.call(this, words, ...at);
+};
+CanvasRenderingContext2D.prototype.clearRect = function (...at) {
+    this.canvas.written = {};
+    return clear.call(this, ...at);
+};
+"""
+"""Keeps the words of each chart as it was last drawn, and their colours."""
+
+
 @pytest.mark.parametrize("view", ["#/now", "#/wall"])
 def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     server, page = pressing
+    page.add_init_script(IN_COLOUR)
     page.goto(server.url + view)
     answer = page.get_by_test_id("answer")
     expect(answer).to_have_text("open in 11 s (8 to 15)")
+    written = "(document.querySelector('.chart canvas')?.written ?? {})"
+    of = "getComputedStyle(document.documentElement).getPropertyValue('--{}').trim()"
+    comes(page, written, f"(it) => it.open === {of.format('accent')}")
     server.stop_for_a_while()
     expect(answer).to_contain_text("not known, because no reading for")
     expect(page.locator(".light.bad")).to_have_text(["no readings"] if view == "#/wall" else [])  # said once
@@ -164,6 +182,8 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
         return drawn || own || styles[0].backgroundColor === rgb;
     }).map((e) => e.className)"""
     page.wait_for_function(f"({green})().length === 0")
+    comes(page, written, f"(it) => it['Target 60 °C'] === {of.format('faint')}")
+    comes(page, written, f"(it) => it.open !== {of.format('accent')}")  # what was foreseen then
     server.go_on()
     expect(answer).to_have_text("open in 11 s (8 to 15)")
     page.wait_for_function(f"({green})().length > 0")

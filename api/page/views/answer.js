@@ -14,12 +14,13 @@ export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`
 export const steamOf = (high) => `≤\u00a0${number(high, 0)}\u00a0kPa`;
 
 // Why there is no core is told once: by the answer where that is not known, else here.
-export function showCore(core, band, state, estimate) {
+// A tile has no room for the band's name.
+export function showCore(core, band, state, estimate, { tile = false } = {}) {
   const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
   core.className = valid ? "core" : "core invalid";
   core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
   band.textContent = valid
-    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C · ${text("page-band95")}`
+    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C${tile ? "" : ` · ${text("page-band95")}`}`
     : state === "idle" || !estimate || estimate.advice?.verdict === "not_known" ? "" : reasonOf(estimate);
 }
 
@@ -99,17 +100,18 @@ export class CoreChart {
     });
   }
 
-  show({ times, low, high, core, measured = [], phases, target, course, advice, notes = [] }) {
+  // What rests on old readings foresees nothing, and is not green.
+  show({ times, low, high, core, measured = [], phases, target, course, advice, notes = [], stale = false }) {
     const zero = closingOf(phases);
     const now = times.at(-1) ?? 0;
-    const to = (course ?? []).filter(([time]) => time > now);
+    const to = stale ? [] : (course ?? []).filter(([time]) => time > now);
     const before = (values) => [...values, ...to.map(() => null)];
     const after = (k) => [...times.map((_, i) => (i === times.length - 1 && to.length ? [core, low, high][k - 1].findLast((v) => v !== null) ?? null : null)), ...to.map((row) => row[k])];
     this.target = target;
     const opens = advice?.open_in_s ?? null;
     this.chart.marks = [
       ...notes.map((note) => ({ ...note, x: note.x - zero })),
-      ...(target === null ? [] : [{ y: target, name: `${text("page-target")} ${number(target, 0)} °C`, colour: "--good" }]),
+      ...(target === null ? [] : [{ y: target, name: `${text("page-target")} ${number(target, 0)} °C`, colour: stale ? "--faint" : "--good" }]),
       ...(opens === null || !to.length ? [] : [{ x: now + opens - zero, name: text("page-open-then"), colour: "--accent" }])];
     this.chart.set([[...times, ...to.map(([time]) => time)].map((t) => t - zero), before(low), before(high), before(core), after(2), after(3), after(1),
       ...measured.map(before)], shifted(phases, zero));

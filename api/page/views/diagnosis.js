@@ -103,7 +103,7 @@ function told(short, parameter, words) {
   };
 }
 
-const chance = (p) => (p < 1e-4 ? `p < ${number(1e-4, 4)}` : `p = ${number(p, 4)}`);
+const chance = (p) => `p\u00a0${p < 1e-4 ? "<" : "="}\u00a0${number(Math.max(p, 1e-4), 4)}`;
 
 // Kelvins without the sign of a zero.
 const kelvins = (value, digits) => number(Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value, digits);

@@ -57,11 +57,12 @@ function quality(channel, old) {
 function channelCard(items, old) {
   const of = (c, causes) => causes.reduce((sum, cause) => sum + (c.counters[cause] ?? 0), 0);
   const named = Object.values(COUNTED).flat();
+  const several = new Set(items.map((c) => c.press)).size > 1; // whose channels may have the same names
   const others = (c) => Object.entries(c.counters).filter(([cause]) => !named.includes(cause));
   return el("section", { class: "card", "data-testid": "loggers" }, el("h1", {}, text("page-nav-loggers")), items.length ? table(text("page-channels"),
     [{ text: text("page-channel") }, { text: text("page-logger") }, { text: text("page-value"), class: "right" }, { text: text("page-quality") }, { text: text("page-last-good"), class: "right" }, { text: text("page-gaps"), class: "right" },
       ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("page-other-faults"), class: "right" }],
-    items.map((c) => [c.name, c.logger || "–", el("span", { class: old(c) ? "num faint" : "num" }, c.value === null ? "–" : reading(c)),
+    items.map((c) => [several ? el("div", {}, c.name, el("p", { class: "small faint" }, c.press)) : c.name, c.logger || "–", el("span", { class: old(c) ? "num faint" : "num" }, c.value === null ? "–" : reading(c)),
       quality(c, old(c)),
       el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
       ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "page-readings")),

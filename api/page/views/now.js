@@ -166,7 +166,9 @@ class LivePress {
 
   // Old numbers must not look like new ones: one banner, nothing green, every number grey with its age.
   showAge() {
+    const before = this.stale;
     this.stale = this.now.channels.length > 0 && this.silentFor() > this.now.silent_after_s;
+    if (this.stale !== before && this.drawn) this.redraw();
     document.documentElement.toggleAttribute("data-stale", this.stale);
     this.showState();
     this.old.hidden = !this.stale;
@@ -191,8 +193,9 @@ class LivePress {
   // The pressing whose curves are shown; one that has ended since is the last, not the running one.
   showTitle() {
     const { run, run_status: status } = this.now;
-    const code = this.drawn === run && status === "open" ? "page-running-pressing" : "page-last-pressing";
-    this.title.textContent = this.drawn ? `${text(code)} ${this.drawn}` : text("page-waiting-for-pressing");
+    const shown = this.drawn ?? run; // its curves may be on their way yet
+    const code = shown === run && status === "open" ? "page-running-pressing" : "page-last-pressing";
+    this.title.textContent = shown ? `${text(code)} ${shown}` : text("page-waiting-for-pressing");
     this.curves.hidden = !this.drawn;
   }
 
@@ -243,7 +246,7 @@ class LivePress {
     const zero = closingOf(this.phases);
     this.chart.show({
       times: this.rows[0], low: this.rows[first], high: this.rows[first + 1], core: this.rows[first + 2], measured: this.inner.map(column),
-      phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes,
+      phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes, stale: this.stale,
     });
     this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
     this.showBehind();

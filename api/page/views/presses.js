@@ -17,14 +17,21 @@ export async function show(place) {
     }
     if (grid.children.length !== tiles.size) grid.replaceChildren(...[...tiles.values()].map(({ node }) => node));
     tiles.forEach(draw);
+    fit(grid);
   };
   await load();
   const timers = [setInterval(() => { if (!document.hidden) load().catch(() => {}); }, 2000), setInterval(() => tiles.forEach(draw), 1000)];
   return () => timers.forEach(clearInterval);
 }
 
+// Tiles that together are higher than the screen are drawn closer.
+function fit(grid) {
+  grid.classList.remove("dense");
+  grid.classList.toggle("dense", grid.getBoundingClientRect().bottom + scrollY > innerHeight);
+}
+
 function tile(press) {
-  const parts = { state: el("span", { class: "pill" }), core: el("div", { class: "core" }), band: el("div", { class: "band" }), answer: el("div", { class: "answer" }), light: el("span", { class: "light" }) };
+  const parts = { state: el("span", { class: "pill" }), core: el("div", { class: "core" }), band: el("div", { class: "band", title: text("page-band95") }), answer: el("div", { class: "answer" }), light: el("span", { class: "light" }) };
   const node = el("a", { class: "card press-tile", href: `#/now?press=${encodeURIComponent(press)}` },
     el("div", { class: "row", style: "justify-content:space-between" }, el("b", {}, press), parts.state), parts.core, parts.band, parts.answer, parts.light);
   return { node, ...parts };
@@ -46,7 +53,7 @@ function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
   node.classList.toggle("stale", stale);
   state.className = `pill ${stateOf(now, stale)}`;
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
-  showCore(core, band, now.state, now.estimate);
+  showCore(core, band, now.state, now.estimate, { tile: true });
   showAnswer(answer, now, stale ? silent : null);
   showLight(light, { now, silent: stale ? silent : null, wrong: wrong && said(wrong) });
 }

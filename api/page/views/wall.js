@@ -85,16 +85,26 @@ class Wall {
     this.since.textContent = last ? `${text("page-last-pressing")} ${now.run}` : now.state !== "closed" || now.time_since_closing_s === null ? "" : duration(now.time_since_closing_s);
     showCore(this.core, this.band, now.state, now.estimate);
     this.showAge();
+    this.drawChart();
+  }
+
+  drawChart() {
+    this.chartPlace.style.visibility = this.rows?.[0].length ? "" : "hidden"; // before the first core its axes would stand alone
     if (!this.chart || !this.rows) return;
+    const { now } = this;
     this.chart.chart.fit(this.chartPlace.clientHeight - 6);
     const [times, low, high, core] = this.rows;
-    this.chart.show({ times, low, high, core, phases: now.phases, target: now.target?.temperature_C ?? null, course: now.state === "closed" ? this.course : null, advice: now.estimate?.advice });
+    this.chart.show({ times, low, high, core, phases: now.phases, target: now.target?.temperature_C ?? null, course: now.state === "closed" ? this.course : null, advice: now.estimate?.advice, stale: this.stale });
   }
 
   showAge() {
     const silent = this.age + (performance.now() - this.heard) / 1000;
     const stale = silent > this.now.silent_after_s;
     document.documentElement.toggleAttribute("data-stale", stale);
+    if (stale !== this.stale) {
+      this.stale = stale;
+      this.drawChart();
+    }
     const state = stateOf(this.now, stale);
     this.state.className = `pill ${state}`;
     this.state.textContent = text(`page-state-${state}`);
