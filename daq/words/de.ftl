@@ -1449,7 +1449,7 @@ report-fitted = Angepasst an { $runs ->
         [one] { "" }
        *[other] Median;{ " " }
     }{ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit den Schätzwerten der Pressendatei).
-report-from-on = { $begin } s – bis zum Ende
+report-from-on = { $begin } s bis zum Ende
 report-from-to = { $begin } s – { $end } s
 report-gain = Was gewonnen ist
 report-how = Wie das gefunden wurde

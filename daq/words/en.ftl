@@ -1439,7 +1439,7 @@ report-fitted = Fitted to { $runs ->
         [one] { "" }
        *[other] median;{ " " }
     }{ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K with the press file's guesses).
-report-from-on = { $begin } s – to the end
+report-from-on = { $begin } s to the end
 report-from-to = { $begin } s – { $end } s
 report-gain = What is gained
 report-how = How this was found

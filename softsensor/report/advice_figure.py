@@ -36,5 +36,5 @@ def advice_figure(found: ProgrammeAdvice, language: str = ENGLISH) -> Figure:
         ax.set_ylim(0.1, 110.0)
         ax.set_xlabel(put(say("figure-advice-press-time")))
         ax.set_ylabel(put(say("figure-advice-risk")))
-        ax.legend(fontsize=8)
+        ax.legend()
     return figure

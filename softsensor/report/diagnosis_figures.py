@@ -56,7 +56,7 @@ def worst_run_figure(curves: Curves, language: str = ENGLISH) -> Figure:
             ax.set_ylim(-reach_K, reach_K)
         axes[0, 0].set_ylabel(put(say("figure-temperature")))
         axes[1, 0].set_ylabel(put(say("figure-measured-minus-model")))
-        figure.legend(*axes[0, -1].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=7.5)
+        figure.legend(*axes[0, -1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
@@ -84,12 +84,11 @@ def _mark(ax: Any, curves: Curves, place: str, put: Put) -> None:
         ax.axvspan(begin, end, color="#f6e3d7", zorder=0.5, lw=0)
         ax.text(
             (begin + end) / 2,
-            0.97 - 0.13 * line,
+            0.97 - 0.17 * line,
             put(Message.from_json(mark["said"])),
             transform=ax.get_xaxis_transform(),
             ha="center",
             va="top",
-            size=6.5,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
             zorder=5,
         )
@@ -115,7 +114,7 @@ def residual_figure(curves: Curves, language: str = ENGLISH) -> Figure:
         every = np.abs(np.concatenate([_array(row) for place in places for row in place["plain_K"]]))
         reach = 1.2 * max(float(np.nanpercentile(every, 97)), 0.2)
         axes[0].set_ylim(-reach, reach)
-        axes[-1].legend(loc="upper right", fontsize=7.5)
+        axes[-1].legend(loc="upper right")
     return figure
 
 
@@ -144,12 +143,12 @@ def votes_figure(curves: Curves, language: str = ENGLISH) -> Figure | None:
             x = np.arange(len(gains)) + 0.8 * (k - (len(rivals) - 1) / 2) / len(rivals)
             label = put(called(rival["cause"]))
             ax.bar(x, gains, width=0.8 / len(rivals), color=colours[k % len(colours)], label=label)
-        ax.set_xticks(range(len(names)), names, rotation=35, ha="right", fontsize=7.5)
+        ax.set_xticks(range(len(names)), names, rotation=35, ha="right")
         ax.set_yscale("symlog", linthresh=10.0)
         ax.set_axisbelow(True)
         ax.yaxis.set_major_formatter("{x:g}")
         ax.set_ylabel(put(say("figure-misfit-saved")))
-        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7.5)
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 

@@ -37,12 +37,19 @@ Put = Callable[[Message | str], str]
 FEW_TICKS = 8
 """Runs up to which each has its tick."""
 CLOSED_SHADE = "#f1f3f6"
+LETTERS_PT = 10.5
+"""Of all letters, the smallest too: a picture 10 in wide is shown as narrow as 640 px, where they are 9 px high
+or more."""
 STYLE: Mapping[str, Any] = {
     "font.family": "DejaVu Sans",
-    "font.size": 9.0,
+    "font.size": LETTERS_PT,
+    "figure.titlesize": 10.8,
+    "xtick.labelsize": LETTERS_PT,
+    "ytick.labelsize": LETTERS_PT,
+    "legend.fontsize": LETTERS_PT,
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
-    "axes.titlesize": 10.5,
+    "axes.titlesize": 11.0,
     "axes.titleweight": "bold",
     "axes.titlecolor": INK,
     "axes.titlelocation": "left",
@@ -53,7 +60,9 @@ STYLE: Mapping[str, Any] = {
     "grid.linewidth": 0.6,
     "xtick.color": MUTED,
     "ytick.color": MUTED,
-    "legend.frameon": False,
+    "legend.facecolor": "white",
+    "legend.edgecolor": "none",
+    "legend.framealpha": 0.85,
     "svg.hashsalt": "kerntemp",
     "svg.fonttype": "path",
 }
@@ -133,7 +142,7 @@ def fitted_run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
             _draw_measured(axes[0, j], fitted, place, put)
             _draw_simulated(axes[0, j], fitted, (before[place.label], after[place.label]), (colour, put))
             _draw_residual(axes[1, j], fitted, (place.mean - after[place.label], place), (colour, put))
-            axes[0, j].legend(loc="best", fontsize=8)
+            axes[0, j].legend(loc="best")
         limit = 1.1 * max(abs(v) for ax in axes[1] for v in ax.get_ylim())
         for ax in axes[1]:
             ax.set_ylim(-limit, limit)
@@ -163,7 +172,7 @@ def core_figure(fitted: RunFit, found: FittedCore, language: str = ENGLISH) -> F
         _shade_closed(ax, fitted)
         ax.set_xlabel(put(say("figure-time")))
         ax.set_ylabel(put(say("figure-temperature")))
-        ax.legend(loc="best", fontsize=8)
+        ax.legend(loc="best")
     return figure
 
 
@@ -236,7 +245,7 @@ def _draw_residual(ax: Any, fitted: RunFit, off: tuple[Array, Place], drawn: tup
         sign = "−" if residual[k] < 0 else "+"
         largest = put(say("figure-largest", sign=sign, kelvin=abs(float(residual[k])), at=float(t[k])))
         at = {"transform": ax.transAxes, "ha": "right", "va": "top"}
-        ax.text(0.99, 0.96, largest, **at, fontsize=7.5, color=MUTED)
+        ax.text(0.99, 0.96, largest, **at, color=MUTED)
 
 
 def coefficients_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:

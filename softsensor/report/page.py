@@ -12,8 +12,8 @@ from markupsafe import Markup
 from daq.words import Message, say
 from daq.words.message import ENGLISH, sentences, words
 
-UNIT = re.compile(r"(?<=\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|W|N|kJ)(?!\w))")
-"""Between a number and its unit no line ends, on the page neither."""
+UNIT = re.compile(r"(?<=\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|W|N|kJ)(?!\w))|(?<=[±=<]) (?=\d)|(?<=\bp) (?=[=<] \d)")
+"""Between a number and its unit no line ends, nor between it and its sign; on the page neither."""
 
 
 def page(template: str, language: str = ENGLISH, **content: Any) -> str:

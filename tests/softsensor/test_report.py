@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
@@ -14,8 +15,11 @@ from daq.words.message import Message, catalogue_of, languages
 from softsensor.fitting.core import fitted_core
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.report import fit_report_runs
+from softsensor.report.diagnosis_figures import residual_figure, votes_figure, worst_run_figure
 from softsensor.report.fit_figures import coefficients_figure, core_figure, fitted_run_figure, sheet, svg
 from softsensor.report.fit_report import fit_report
+from softsensor.report.page import UNIT
+from tests.curves import CURVES
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +105,41 @@ def test_no_line_of_a_report_ends_between_a_number_and_its_unit(campaign):
     page = re.sub(r"<(style|svg)\b.*?</\1>", "", fit_report(campaign), flags=re.DOTALL)
     assert len(re.findall(r"\d\N{NO-BREAK SPACE}(?:K|s|%)(?!\w)", page)) > 20
     assert re.findall(r">[^<]*\d (?:K|s|%|°C|mm)(?!\w)[^<]*<", page) == []
+
+
+def test_the_letters_of_every_picture_can_be_read_where_a_report_shows_it_narrowest(campaign):
+    fitted = campaign.runs[0]
+    pictures = [coefficients_figure(campaign), fitted_run_figure(fitted), core_figure(fitted, fitted_core(fitted))]
+    pictures += [worst_run_figure(CURVES), residual_figure(CURVES), votes_figure(CURVES)]
+    for picture in pictures:
+        letters = [one for one in picture.findobj(Text) if one.get_text()]
+        narrowest = 640 / (72 * picture.get_figwidth())  # pixels of the page for a point
+        assert min(one.get_fontsize() for one in letters) * narrowest > 9
+
+
+def test_no_line_ends_between_a_number_and_its_sign():
+    shown = UNIT.sub(
+        "\N{NO-BREAK SPACE}", "2.7 K cooler (± 7.3 K from run to run), p = 0.0005, p < 0.0001; so p is small"
+    )
+    assert shown.split(" ") == [
+        *[
+            "2.7\N{NO-BREAK SPACE}K",
+            "cooler",
+            "(±\N{NO-BREAK SPACE}7.3\N{NO-BREAK SPACE}K",
+            "from",
+            "run",
+            "to",
+            "run),",
+        ],
+        *[
+            "p\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}0.0005,",
+            "p\N{NO-BREAK SPACE}<\N{NO-BREAK SPACE}0.0001;",
+            "so",
+            "p",
+            "is",
+            "small",
+        ],
+    ]
 
 
 def test_ink_shows_on_every_colour_of_the_correlations():
