@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from daq.press.press_file import Press
     from softsensor.fitting.campaign import CampaignFit
     from softsensor.fitting.dependence import Program
+    from softsensor.fitting.result import RunFit
 
 
 HEADS = ("run", "from", "mean", "sd", "joint-median")
@@ -332,6 +333,21 @@ def _lines(found: CampaignFit) -> Iterator[str]:
         yield in_words(say("terminal-fit-legend-campaign"))
     if found.shared:
         yield in_words(say("terminal-fit-shared", names=found.shared))
-    for run in found.runs:
-        for warning in run.warnings:
-            yield f"{run.run}: {in_words(warning)}"
+    yield from remark_lines(found.runs)
+
+
+def remark_lines(runs: Sequence[RunFit]) -> Iterator[str]:
+    """Yield what is to be remarked on runs; what several have in common takes one line, and one run for all."""
+    alike: dict[tuple[str, ...], list[tuple[str, Message]]] = {}
+    for run in runs:
+        for remark in run.warnings:
+            about = (str(remark.arguments[key]) for key in ("name", "column") if key in remark.arguments)
+            alike.setdefault((remark.code, *about), []).append((run.run, remark))
+    for same in alike.values():
+        (first, remark), count = same[0], len({name for name, _ in same})
+        if count == 1:
+            yield from (f"{name}: {in_words(one)}" for name, one in same)
+            continue
+        yield in_words(say("terminal-fit-remark-of", count=count, total=len(runs), run=first, remark=remark))
+    if any(len({name for name, _ in same}) > 1 for same in alike.values()):
+        yield in_words(say("terminal-fit-remarks-kept"))

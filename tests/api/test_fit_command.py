@@ -3,13 +3,16 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from api.cli import main
+from api.commands.fitting import remark_lines
 from daq.files.run_file import write_run
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
+from daq.words import say
 
 PROFILED = ("h_pp_c", "h_pp_o", "h_wa")
 
@@ -173,3 +176,19 @@ def test_folder_for_figures_that_is_a_file_is_refused(folder, capsys, tmp_path):
     assert main(["fit", run, "--press", str(folder / "press.toml"), "--svg", str(wrong)]) == 2
     assert f"{wrong}: is a file" in _error(capsys)
     assert Path(wrong).read_text() == "x"
+
+
+def test_what_is_remarked_on_several_runs_takes_one_line():
+    def unknown(name, factor):
+        return say(
+            "fit-coefficient-unknown", name=name, verdict="unknown", reason=f"known to a factor of {factor}"
+        )
+
+    runs = [SimpleNamespace(run=f"r{i}", warnings=[unknown("h_ap", i), unknown("h_p_o", i)]) for i in range(1, 11)]
+    runs[2].warnings.append(say("fit-not-converged"))
+    first, second, third, kept = remark_lines(runs)
+    assert first.startswith("10 of 10 runs, such as r1: h_ap")
+    assert second.startswith("10 of 10 runs, such as r1: h_p_o")
+    assert third.startswith("r3: ")
+    assert "--json" in kept
+    assert next(iter(remark_lines(runs[2:3]))).startswith("r3: h_ap")
