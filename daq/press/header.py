@@ -212,6 +212,11 @@ def _meant(key: str) -> str | None:
 def _check_sd(key: str, value: object, place: object) -> None:
     if not 0.0 < number_of(value) < math.inf:
         raise InputError(at(place, say("header-sd-not-positive", key=key, value=quoted(value))))
+    base = key.removesuffix(SD)
+    limits = LIMITS.get(base)
+    if limits is not None and number_of(value) > (most := limits.upper - limits.lower):
+        said = say("header-sd-too-wide", key=key, value=quoted(value), base=base, most=most, unit=limits.unit)
+        raise Nonphysical(at(place, said))
 
 
 def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:

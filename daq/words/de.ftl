@@ -272,6 +272,7 @@ header-not-finite = Kopfschlüssel { $key } = { $value }: muss eine endliche Zah
 header-number-outside = Kopfschlüssel { $key } = { $value }: muss eine Zahl von { NUMBER($lower) } bis { NUMBER($upper) } { $unit } sein
 header-override = Überschreibung im Kopf: { $what }
 header-sd-not-positive = { $key } = { $value }: eine Standardabweichung muss eine positive Zahl sein
+header-sd-too-wide = { $key } = { $value }: eine Standardabweichung ist höchstens { $most } { $unit }, die Breite dessen, was { $base } sein kann
 header-section = '# { $text }': Abschnitte werden nicht gelesen; '# panel.key = value' schreiben
 header-start-hot = { $key } = { NUMBER($value, maximumFractionDigits: 1) }: Hände und Raum erwärmen keine Platte über { NUMBER($limit, maximumFractionDigits: 0) } °C; die Starttemperatur prüfen
 header-value-kind = Kopfwert { $value }: eine Laufdatei enthält Text, Zahlen, true/false, Zeiten und Listen
@@ -746,6 +747,7 @@ model-file-no-table = { $file }: { $place } muss ein Objekt aus NAME: {"{"}value
 model-file-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; die eigenen Pressungen dieser Presse anpassen
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } hat { $known }
 model-file-part = { $file }: { $key } ist nicht, wie fit, diagnose und der nächtliche Lauf es schreiben; berichtigen oder den Schlüssel weglassen
+model-file-scatter = { $file }: scatter.{ $key }.sd = { $value }: ein Anteil des Werts im Kopf, über 0 und höchstens { NUMBER($most, maximumSignificantDigits: 3) }, womit er von der einen seiner Grenzen zur anderen kommt
 model-file-sd = { $file }: { $place }.sd = { $value }: eine Standardabweichung muss eine Zahl sein, mindestens 0
 model-file-unreadable = { $file }: die Modelldatei ist nicht zu lesen: { $error }
 parameter-unknown = '{ $name }' ist kein Parameter dieses Modells; es hat { $known }

@@ -272,6 +272,7 @@ header-not-finite = header key { $key } = { $value }: must be a finite number; c
 header-number-outside = header key { $key } = { $value }: must be a number from { NUMBER($lower) } to { NUMBER($upper) } { $unit }
 header-override = header override: { $what }
 header-sd-not-positive = { $key } = { $value }: a standard deviation must be a positive number
+header-sd-too-wide = { $key } = { $value }: a standard deviation is at most { $most } { $unit }, the width of what { $base } can be
 header-section = '# { $text }': sections are not read; write '# panel.key = value'
 header-start-hot = { $key } = { NUMBER($value, maximumFractionDigits: 1) }: hands and room bring no panel above { NUMBER($limit, maximumFractionDigits: 0) } °C; check the start temperature
 header-value-kind = header value { $value }: a run file holds text, numbers, true/false, times and lists
@@ -746,6 +747,7 @@ model-file-no-table = { $file }: { $place } must be an object of NAME: {"{"}valu
 model-file-of-another-press = { $path } is of press '{ $other }', the press file is of '{ $press }': coefficients of another press make a wrong core look certain; fit this press's own runs
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } has { $known }
 model-file-part = { $file }: { $key } is not as fit, diagnose and the nightly job write it; correct it, or leave the key out
+model-file-scatter = { $file }: scatter.{ $key }.sd = { $value }: a share of the header's value, above 0 and at most { NUMBER($most, maximumSignificantDigits: 3) }, by which it comes from the one of its limits to the other
 model-file-sd = { $file }: { $place }.sd = { $value }: a standard deviation must be a number, at least 0
 model-file-unreadable = { $file }: cannot read the model file: { $error }
 parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }

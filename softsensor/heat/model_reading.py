@@ -8,6 +8,7 @@ nothing outside is ever written by one, and draws about a model are held to the 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -186,6 +187,14 @@ def check_model(model: ModelFile, source: str | Message) -> None:
         _check_parameters(effect, table, number, source)
         keys += map(effect.key, table)
     _check_covariance(model.names, model.covariance, keys, source)
+    for key, scatter in model.scatter.items():
+        limits = LIMITS.get(key)
+        most = (
+            limits.upper / limits.lower - 1.0 if limits is not None and limits.lower > 0.0 else sys.float_info.max
+        )
+        if not 0.0 < number_of(scatter.sd) <= most:
+            value = in_short(scatter.sd)
+            raise InputError(say("model-file-scatter", file=source, key=key, value=value, most=most))
 
 
 def check_coefficient(name: str, value: object, where: str | Message) -> float:

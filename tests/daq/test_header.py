@@ -179,3 +179,11 @@ def test_a_number_that_is_none_is_refused_under_a_free_key_as_under_a_known_one(
 @pytest.mark.parametrize("key", ["coefficients.h_pp_c.upper", "batch"])
 def test_an_override_is_left_to_the_press_file_and_what_nothing_knows_is_kept(tmp_path, key):
     assert read_run(file_with(tmp_path, f"{key} = inf")).header[key] == float("inf")
+
+
+def test_a_standard_deviation_wider_than_what_its_number_can_be_is_refused():
+    check_header({"panel.moisture_percent.sd": 200.0}, "x.csv")
+    with pytest.raises(
+        InputError, match=r"panel\.moisture_percent\.sd = 1000000000\.0: .* at most 200 %, the width"
+    ):
+        check_header({"panel.moisture_percent.sd": 1e9}, "x.csv")

@@ -115,6 +115,10 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
         ({"adequacy": {"runs": 3, "nothing": 7.0, "unexplained_K": 0.1, "causes": {}}}, "adequacy is not as fit"),
         ({"scatter": {"panel.thickness_mm": {"sd": -0.1, "runs": 3}}}, "scatter is not as fit, diagnose and"),
         (
+            {"scatter": {"panel.density_kg_m3": {"sd": 1e9, "runs": 3}}},
+            r"scatter\.panel\.density_kg_m3\.sd = 1e\+09: a share of the header's value, above 0 and at most 5000",
+        ),
+        (
             {"scatter": {"panel.thickness_mm": {"sd": 0.1, "runs": 3, "panel": 0.2}}},
             "scatter is not as fit, diagnose and",
         ),
