@@ -74,10 +74,12 @@ class StoreTables:
 
         The header is that of an exported file: it also knows when the run began, and what the store knows of it.
         """
+        self._check_known(run)
         return frame_of(self._opened().run_for_file(run), utc=utc)
 
     def estimates(self, run: str) -> pd.DataFrame:
-        """Return what the live sensor said of a run, indexed by ``time_s``."""
+        """Return what the live sensor said of a run, indexed by ``time_s``. Raises `InputError`."""
+        self._check_known(run)
         rows = [
             {"time_s": time_s, "state": str(e.state), "core_C": e.core_celsius, "core_sd_K": e.core_sd_kelvin}
             | {"core_low_C": e.core_low_celsius, "core_high_C": e.core_high_celsius}
@@ -110,6 +112,11 @@ class StoreTables:
         """Let go of the database. A second call does no harm."""
         self._closed.set()
         self.store.close()
+
+    def _check_known(self, run: str) -> None:
+        """Refuse a run that the store does not have. Raises `InputError`."""
+        if not self._opened().run_records([str(run)]):
+            raise InputError(say("store-run-missing-here", run=str(run), store=self.store.label))
 
     def _opened(self) -> Store:
         """Return the store. Raises `InputError` once it is closed."""

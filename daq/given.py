@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from daq.records import InputError
-from daq.words import say
+from daq.words import Message, say
 from daq.words.message import choose, languages
+
+_OURS = ("daq", "softsensor")
 
 
 def refused(given: object, asked: str) -> InputError:
@@ -64,6 +68,14 @@ def keys_of(given: object, asked: str) -> Mapping[str, Any]:
     if odd := [repr(key) for key in given if not isinstance(key, str)]:
         raise InputError(say("given-key-no-text", key=odd[0]))
     return given
+
+
+def warn(doubt: Message) -> None:
+    """Warn of something given from Python, at the line outside our packages that gave it."""
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _OURS:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(str(doubt), stacklevel=level)
 
 
 def number_of(given: object) -> float:

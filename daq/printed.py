@@ -9,6 +9,8 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
+from daq.words import say
+
 LINE, LINES = 120, 20
 """Characters of a line, and lines of a record: with its head they fit a terminal of 25 lines, none of them wrapped
 on today's 120 columns."""
@@ -71,7 +73,7 @@ def _html_row(line: str) -> str:
 def lines_of(lines: Sequence[str]) -> list[str]:
     """Return lines cut to the screen's width; of many the first ones and how many more there are."""
     shown = [textwrap.shorten(line, LINE, placeholder=" ...") for line in lines[:LINES]]
-    return [*shown, *([f"... and {len(lines) - LINES} more"] if len(lines) > LINES else [])]
+    return [*shown, *([str(say("printed-more", count=len(lines) - LINES))] if len(lines) > LINES else [])]
 
 
 def in_short(value: Any) -> str:

@@ -114,7 +114,7 @@ def load_runs(arguments: list[str], press: Press, store: str | None, config: Pat
 
     A column of words is an error where the press takes numbers from it.
     """
-    from daq.files.legible import check_each_once, legible
+    from daq.files.legible import check_each_once, kelvin_doubt, legible
 
     runs = []
     with working(say("terminal-progress-reading-runs", runs=len(arguments)), len(arguments)) as done:
@@ -123,6 +123,8 @@ def load_runs(arguments: list[str], press: Press, store: str | None, config: Pat
             done(number)
     check_each_once(runs)
     say_doubts(run.header for run in runs)
+    for doubt in filter(None, (kelvin_doubt(run, press) for run in runs)):
+        warn(doubt)
     return runs
 
 

@@ -16,8 +16,8 @@ from daq.files.instants import STARTED, for_json, from_json, seconds_of
 from daq.files.layout import Layout, layout_of, nanoseconds_of, with_index, with_kinds
 from daq.files.qualities import OTHERS, QUALITY, rows_alike, without_unusable
 from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
-from daq.given import refused
-from daq.press.header import check_header
+from daq.given import refused, warn
+from daq.press.header import check_header, doubts
 from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
 from daq.tables import at
 from daq.words import say
@@ -153,6 +153,8 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     rows = Rows(columns, texts)
     check_rows(name, rows)
     check_header(keys, name)
+    for doubt in doubts(keys):
+        warn(doubt)
     del columns[TIME]
     made = Run(name, keys, times, columns, name, texts)
     made = replace(made, layout=layout_of(frame, given_times, made))

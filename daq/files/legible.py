@@ -6,10 +6,12 @@ import fnmatch
 from collections import Counter
 from collections.abc import Iterable
 
+import numpy as np
+
 from daq.files.run_rows import check_no_words
 from daq.press.press_file import Press, press_for_run
-from daq.records import InputError, Run
-from daq.words import say
+from daq.records import COLDEST_C, InputError, Run
+from daq.words import Message, say
 
 
 def legible(run: Run, press: Press) -> Run:
@@ -21,6 +23,21 @@ def legible(run: Run, press: Press) -> Run:
         if any(fnmatch.fnmatchcase(column, pattern) for pattern in wanted):
             check_no_words(run.source or run.name, column, cells)
     return run
+
+
+def kelvin_doubt(run: Run, press: Press) -> Message | None:
+    """Ask whether a run's readings are in kelvin: the coldest of its panel is nearer to that than to its start."""
+    start = run.header.get("panel.initial_temperature_C")
+    inside = tuple(f"{layer}{sign}" for layer in press.panel_layers for sign in ".@")
+    places = [sensor for sensor in press.sensor if sensor.role == "fit" and sensor.label.startswith(inside)]
+    columns = [run.columns[name] for name in run.matching(c for place in places for c in place.columns)]
+    read = [values[np.isfinite(values)] for values in columns]
+    if not isinstance(start, int | float) or not any(map(len, read)):
+        return None
+    coldest = float(min(values.min() for values in read if len(values)))
+    if abs(coldest - start + COLDEST_C) >= abs(coldest - start):
+        return None
+    return say("run-in-kelvin", run=run.source or run.name, start=float(start), coldest=coldest)
 
 
 def check_each_once(runs: Iterable[Run]) -> None:

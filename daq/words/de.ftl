@@ -340,6 +340,7 @@ run-column-unnamed = Spalte { NUMBER($number) } hat keinen brauchbaren Namen ({ 
 run-columns-unmatched = keine Spalte der Pressung „{ $run }“ passt zu { $pattern }; sie hat { $columns }
 run-file-empty = die Datei ist leer; eine Laufdatei hat Zeilen '# Schlüssel = Wert', eine Kopfzeile und Reihen
 run-header-row-numbers = die Kopfzeile fehlt: dort stehen Zahlen; sie beginnt mit time_s, ...
+run-in-kelvin = Pressung { $run }: die Platte beginnt bei { NUMBER($start, maximumFractionDigits: 1) } °C, und ihr kältester Messwert ist { NUMBER($coldest, maximumFractionDigits: 1) }: sind die Messwerte in Kelvin? Eine Zuordnung mit unit = "K" rechnet sie um
 run-no-commas = die Zellen sind nicht durch Kommas getrennt; Komma und Punkt verwenden oder mit einer Zuordnung einlesen
 run-no-header-row = die Kopfzeile fehlt; sie beginnt mit time_s, ...
 run-no-number = { $cell } ist keine Zahl; einen fehlenden Wert leer lassen
@@ -515,6 +516,7 @@ store-rescued-cut = Datenspeicher { $store }: sein Protokoll (-wal) wurde geleer
     } des Rekorders; was andere Prozesse in den letzten Sekunden gespeichert haben, kann verloren sein; die vorgefundene Datei liegt nun unter { $aside }
 store-rescued-log = Datenspeicher { $store }: sein Protokoll (-wal, -shm) wurde gelöscht oder ausgetauscht; alles ist neu geschrieben, die Aufzeichnung läuft dort weiter; die Datei ohne ihre neuesten Einträge liegt nun unter { $aside }
 store-run-missing = Pressung '{ $run }' ist nicht im Datenspeicher; kerntemp export listet die Pressungen, eine Datei braucht ihren Pfad
+store-run-missing-here = Pressung '{ $run }' ist nicht im Datenspeicher { $store }; runs() listet die vorhandenen
 store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Bytes sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert
 store-run-renamed = Pressung '{ $run }': der Name einer Pressung lässt sich nicht ändern
 store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nichts wurde importiert; die Kopfzeile run ändern

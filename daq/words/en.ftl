@@ -340,6 +340,7 @@ run-column-unnamed = column { NUMBER($number) } has no usable name ({ $name }); 
 run-columns-unmatched = no column of run '{ $run }' matches { $pattern }; it has { $columns }
 run-file-empty = the file is empty; a run file has '# key = value' lines, a header row, rows
 run-header-row-numbers = the header row is missing: found numbers; it starts with time_s, ...
+run-in-kelvin = run { $run }: the panel begins at { NUMBER($start, maximumFractionDigits: 1) } °C, and its coldest reading is { NUMBER($coldest, maximumFractionDigits: 1) }: are the readings in kelvin? A mapping with unit = "K" converts them
 run-no-commas = cells are not separated by commas; use comma and dot, or import with a mapping
 run-no-header-row = the header row is missing; it starts with time_s, ...
 run-no-number = { $cell } is not a number; leave a missing value empty
@@ -515,6 +516,7 @@ store-rescued-cut = store { $store }: its log (-wal) was emptied or cut short; t
     } of the recorder; what other processes stored in the last seconds may be lost; the file as found is set aside as { $aside }
 store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written again and recording goes on there; the file without its newest entries is set aside as { $aside }
 store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
+store-run-missing-here = run '{ $run }' is not in store { $store }; runs() lists those that are
 store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks or blanks at its ends; nothing was imported
 store-run-renamed = run '{ $run }': the name of a run cannot change
 store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was imported; change the header key run

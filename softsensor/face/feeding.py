@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.given import keys_of
-from daq.press.header import check_header
+from daq.given import keys_of, warn
+from daq.press.header import check_header, doubts
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, on_screen
 from daq.records import InputError
@@ -66,6 +66,8 @@ class LiveSensor(ScanSensor):
         resin: Resin | Path | str | None = None,
     ) -> None:
         check_header(keys_of(header, "given-no-header"), "LiveSensor")
+        for doubt in doubts(header):
+            warn(doubt)
         compile_for(Work.LIVE)
         described = read_press(press)
         known = None if model is None else model_for(model, described, header)

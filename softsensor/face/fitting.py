@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from daq.records import with_frozen_fields
+from daq.words import say
 from daq.words.message import chosen
 from softsensor.face.inputs import read_press, runs_of
 from softsensor.face.showing import UNKNOWN, about, shown, table_html
@@ -75,8 +76,12 @@ class FitResult:
             for run in self.campaign.runs
         }
         if len(rows) > 1:
-            rows["mean"] = {n: _digits(c.mean, c.ci95) if c.runs else UNKNOWN for n, c in over.items()}
-            rows["sd"] = {n: f"{c.sd:.2g}" if math.isfinite(c.sd) else UNKNOWN for n, c in over.items()}
+            rows[str(say("terminal-fit-mean"))] = {
+                n: _digits(c.mean, c.ci95) if c.runs else UNKNOWN for n, c in over.items()
+            }
+            rows[str(say("terminal-fit-sd"))] = {
+                n: f"{c.sd:.2g}" if math.isfinite(c.sd) else UNKNOWN for n, c in over.items()
+            }
         table = pd.DataFrame.from_dict(rows, orient="index").fillna("")
         short = self.campaign.shortfall
         return "\n".join([table.to_string(max_rows=12), *([str(short)] if short else [])])

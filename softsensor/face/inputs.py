@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.files.legible import check_each_once, legible
+from daq.files.legible import check_each_once, kelvin_doubt, legible
 from daq.files.run_file import read_run as read_run_file
-from daq.given import keys_of, path_of, refused
-from daq.press.header import check_header
+from daq.given import keys_of, path_of, refused, warn
+from daq.press.header import check_header, new_doubts
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
@@ -63,11 +63,14 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
         found = read_foreign(path_of(source, "given-no-run"), read_mapping(path_of(mapping, "given-no-mapping")))
     else:
         found = read_run_file(path_of(source, "given-no-run"))
-    if header is None:
-        return _frozen_run(found)
-    keys = {**found.header, **keys_of(header, "given-no-header")}
-    check_header(keys, found.source or found.name)
-    return _frozen_run(replace(found, header=keys, name=str(keys.get("run", found.name))))
+    before = source.header if isinstance(source, Run) else {}
+    if header is not None:
+        keys = {**found.header, **keys_of(header, "given-no-header")}
+        check_header(keys, found.source or found.name)
+        found = replace(found, header=keys, name=str(keys.get("run", found.name)))
+    for doubt in new_doubts(found.header, before):  # of a run that was read before, all others are known
+        warn(doubt)
+    return _frozen_run(found)
 
 
 def _is_table(given: Any) -> bool:
@@ -100,6 +103,20 @@ def resin_of(resin: Resin | Path | str | None) -> Resin | None:
     return resin if resin is None or isinstance(resin, Resin) else read_resin(path_of(resin, "given-no-resin"))
 
 
+def run_for(run: AnyRun, press: Press) -> Run:
+    """Return a run as read, for a press to be worked on; warn of what is doubtful.
+
+    Raises
+    ------
+    InputError
+        For what cannot be read, and words in a column that the press takes numbers from.
+    """
+    found = legible(read_run(run), press)
+    if (doubt := kelvin_doubt(found, press)) is not None:
+        warn(doubt)
+    return found
+
+
 def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
     """Return one run or several as read; tables without a name are numbered.
 
@@ -110,7 +127,7 @@ def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
     """
     one = isinstance(runs, Run | Path | str | Mapping) or _is_table(runs) or not isinstance(runs, Iterable)
     given: Any = [runs] if one else runs
-    read = [legible(read_run(run), press) for run in given]
+    read = [run_for(run, press) for run in given]
     if sum(run.name == UNNAMED for run in read) > 1:
         number = itertools.count(1)
         read = [replace(r, name=f"{UNNAMED}-{next(number)}") if r.name == UNNAMED else r for r in read]

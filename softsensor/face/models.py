@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from daq.given import path_of
+from daq.given import path_of, warn
 from daq.press.press_file import Press, overridden
 from daq.words import say
 from softsensor.heat.model_file import ModelFile
@@ -57,5 +56,5 @@ def model_for(model: AnyModel, press: Press, header: Mapping[str, Any]) -> Model
     found = read_model(model)
     place = say("place-model", version=found.version)
     if (said := check_press(found, (press, overridden(press, header, place)), place)) is not None:
-        warnings.warn(str(said), stacklevel=3)
+        warn(said)
     return found

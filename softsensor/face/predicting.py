@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.files.legible import legible
 from daq.given import names_of
 from daq.press.resin_file import Resin
-from softsensor.face.inputs import read_press, read_run, resin_of
+from softsensor.face.inputs import read_press, resin_of, run_for
 from softsensor.face.models import model_for
 from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
 from softsensor.jobs.first_start import Work, compile_for
@@ -91,6 +90,7 @@ def predict(
     Examples
     --------
     >>> from daq.shared import shared_files
+    >>> from softsensor import read_run
     >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
     >>> found = predict(run, press).frame()
     >>> len(found) == len(read_run(run).time_s)
@@ -100,7 +100,7 @@ def predict(
     True
     """
     described = read_press(press)
-    loaded = legible(read_run(run), described)
+    loaded = run_for(run, described)
     known = None if model is None else model_for(model, described, loaded.header)
     compile_for(Work.LIVE)
     replayed = replay(described, loaded, known, loaded.named(names_of(without)), resin=resin_of(resin))

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from daq.files.legible import legible
 from daq.given import keys_of
 from daq.press.press_file import press_for_run
 from daq.records import Run, with_frozen_fields
-from softsensor.face.inputs import read_press, read_run
+from softsensor.face.inputs import read_press, run_for
 from softsensor.face.models import model_for
 from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
 from softsensor.fitting.simulated_run import Simulated, simulate_run
@@ -103,7 +102,7 @@ def simulate(
     True
     """
     described = read_press(press)
-    loaded, moments = legible(read_run(run), described), None
+    loaded, moments = run_for(run, described), None
     wanted = keys_of(settings, "given-no-settings")
     if wanted:
         from softsensor.planning.what_if import changed  # loads slowly, and only who asks what if needs it

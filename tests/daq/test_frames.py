@@ -158,6 +158,7 @@ def test_a_column_of_instants_is_read_as_an_index_of_them(zone):
 
 @pytest.mark.parametrize("utc", [True, False])
 @pytest.mark.parametrize("told", ["attrs", "nothing"])
+@pytest.mark.filterwarnings("ignore:header key own.day is not known")
 def test_a_table_of_instants_goes_through_parquet_and_back(tmp_path, utc, told):
     index = pd.date_range("2026-10-25 01:59:58.000000123", periods=4, freq="500ms", tz="Europe/Berlin")
     run = daq.run_of(pd.DataFrame({"top_1": [20.0, np.nan, 22.0, 23.0], "remark": list("abcd")}, index=index))

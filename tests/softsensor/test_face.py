@@ -27,7 +27,7 @@ import daq
 import softsensor
 from api.cli import main
 from daq.face import COEFFICIENT, ENTRY, ESTIMATE, EVENT, RUN
-from daq.files.run_file import read_run
+from daq.files.run_file import read_run, write_run
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
@@ -191,6 +191,56 @@ def test_a_live_sensor_refuses_scans_that_cannot_be_and_goes_on(time_s, values, 
     assert sensor.update(3.0, table.iloc[1]).time_s == 3.0
 
 
+@pytest.mark.parametrize("given", ["table", "mapping", "beside a run", "file"])
+def test_a_header_key_that_nothing_knows_is_warned_of_from_python_in_the_words_of_the_command(given, tmp_path):
+    run, odd = softsensor.read_run(SHORT), {"shift.supervisor": "Kurz"}
+    path = tmp_path / "run.csv"
+    path.write_text('# shift.supervisor = "Kurz"\n' + SHORT.read_text(encoding="utf-8"), encoding="utf-8")
+    table = daq.frame_of(run)
+    source, header = {"beside a run": (run, odd), "file": (path, None)}.get(given, (table, odd))
+    if given == "table":
+        table.attrs.update(odd)
+        header = None
+    with pytest.warns(UserWarning, match=r"^header key shift\.supervisor is not known; it is kept, and") as said:
+        read = softsensor.read_run(source, header=header)
+    assert read.header["shift.supervisor"] == "Kurz"
+    softsensor.read_run(read)  # what is known already is not said twice
+    (one,) = said
+    assert one.filename == __file__  # at the line that gave it
+    with pytest.warns(UserWarning, match="shift"):
+        softsensor.LiveSensor(LAB, read.header)
+
+
+def test_readings_in_kelvin_and_a_conductivity_no_board_has_are_warned_of_wherever_a_run_is_taken(
+    capsys, tmp_path
+):
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    hot = table.copy()
+    faces = [name for name in hot if name.startswith(("top_", "bottom_", "platen_"))]
+    hot[faces] += 273.15
+    with pytest.warns(UserWarning, match="are the readings in kelvin"):
+        softsensor.simulate(hot, LAB)
+    hot.attrs["panel.conductivity_W_mK"] = 120.0
+    with pytest.warns(UserWarning, match="conductivity_W_mK = 120"):
+        read = softsensor.read_run(hot)
+    path = tmp_path / "kelvin.csv"
+    write_run(read, path)
+    assert main(["simulate", str(path), "--press", str(LAB), "--out", str(tmp_path / "core.csv")]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "are the readings in kelvin" in told
+    assert "120" in told
+
+
+def test_a_run_that_a_store_does_not_have_is_refused_with_what_a_python_user_does_next(tmp_path):
+    daq.play(SHORT, tmp_path / "runs.sqlite", "lab", scans=500)
+    with daq.open_store(tmp_path / "runs.sqlite") as store:
+        for ask in (store.samples, store.estimates):
+            with pytest.raises(
+                daq.InputError, match=r"run 'nope' is not in store .*; runs\(\) lists those that are"
+            ):
+                ask("nope")
+
+
 def test_a_live_sensor_refuses_a_mistyped_header_at_once():
     with pytest.raises(daq.InputError, match=r"did you mean panel\.thickness_mm"):
         softsensor.LiveSensor(LAB, {"panel.thicknes_mm": 16.0})
@@ -346,6 +396,7 @@ def test_one_switch_chooses_the_language_of_results_figures_and_refusals_and_no_
             softsensor.read_press(5)
         assert repr(softsensor.read_run(SHORT)).startswith("Pressung 2026-03-04-07: 127 Scans, 0 bis 125.995 s")
         assert repr(fitted.model()).startswith("Modell fit der Presse lab")
+        assert [line.split()[0] for line in repr(fitted).splitlines()[-2:]] == ["Mittel", "Streuung"]
         drawn = [text.get_text() for text in fitted.plot()[0].figure.findobj(lambda one: hasattr(one, "get_text"))]
         assert any("Pressung" in text for text in drawn)
         assert fitted.to_json() == english
@@ -677,7 +728,7 @@ def test_a_live_sensor_says_which_press_it_follows_and_what_it_said_last(fitted)
 
 
 def test_runs_presses_models_and_estimates_are_tables_in_a_notebook(fitted):
-    run = softsensor.read_run(SHORT, header={"panel.remark": "<b>wet & cold</b>"})
+    run = softsensor.read_run(SHORT, header={"remark": "<b>wet & cold</b>"})
     live = softsensor.LiveSensor(LAB, run.header, fitted)
     estimate = live.update(2.5, {"platen_top": 200.0})
     for one in (run, softsensor.read_press(LAB), fitted.model(), estimate, live):
