@@ -31,7 +31,7 @@ _USUAL_GAP_K = 150.0
 """How much hotter a plate is than a face where no platen is logged. [K]"""
 _LEAST_GAP_K = 25.0
 """A face so near the plate's temperature shows neither insertion nor closing. [K]"""
-_COLD_SHARE, _COOLING_SHARE, _HOT_SHARE = 0.12, 0.3, 0.25
+_COLD_SHARE, _COOLING_SHARE, HOT_SHARE = 0.12, 0.3, 0.25
 """Of the way from room to plate: below the first a face lies in no press, below the second one that left its plate
 is gone, above the third a face was in the press."""
 _CLOSING_K, _CLOSING_SHARE = 6.0, 0.11
@@ -397,7 +397,7 @@ class PressEventDetector:
             self._by_bottom, self._face_high = by_bottom, -math.inf
         self._face_high = max(self._face_high, level)
         gap = _gap(now.plate, ROOM_C)
-        if self._face_high > ROOM_C + _HOT_SHARE * gap and level < ROOM_C + _COLD_SHARE * gap:
+        if self._face_high > ROOM_C + HOT_SHARE * gap and level < ROOM_C + _COLD_SHARE * gap:
             return True
         if self._was_closed and self._switch is not None and self._nothing_hot(now):
             self._lifted = (now.time, level, self._spread(now))

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger, uncorrected
 from daq.press.events import PressEventDetector, columns_of
 from daq.press.header import doubts
+from daq.press.late_beginning import LateBeginning
 from daq.press.press_file import read_press
 from daq.press.wires import CLOSED, Wires
 from daq.process.config import PressSettings, press_of
@@ -109,7 +110,7 @@ class PressLine:
         self.settings = settings
         store, outbox, speed, journal, stop = shared
         self._outbox, self._stop, self._journal, self._speed = outbox, stop, journal, speed
-        self._detector = PressEventDetector(press_of(settings))
+        self._detector, self._late = _watchers(settings)
         self._newest: Scan | None = None
         self._left_out: list[tuple[float, int]] = []
         """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
@@ -186,7 +187,7 @@ class PressLine:
         press_file = text_in(change.settings.file)
         if (press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
             self._press_file = press_file
-            self._detector = PressEventDetector(press_of(change.settings))
+            self._detector, self._late = _watchers(change.settings)
         self.settings, self._plans = change.settings, change.plans
         kept = {x.name: x for x in self._scanner.loggers}
         threads = [
@@ -232,7 +233,11 @@ class PressLine:
     def _take(self, scan: Scan) -> None:
         self._watch_clock(scan)
         self._watch_schedule(scan)
-        events = self._detector.update(scan.monotonic_s, self._usable(scan))
+        usable = self._usable(scan)
+        events = self._detector.update(scan.monotonic_s, usable)
+        told = bool(events) or self._detector.closed_by_wire is not None
+        if self._late.look(scan.monotonic_s, usable, told=told):
+            self._journal("warning", say("scans-begin-late", press=self.settings.name), self.settings.name)
         self._watch_wires(scan)
         scan = self._with_closed(scan)
         changes = self._keeper.take(scan, events)
@@ -363,6 +368,10 @@ class PressLine:
     def logger_reports(self) -> list[dict[str, Any]]:
         """Return what the heartbeat says about each logger."""
         return [{"press": self.settings.name, **x.report()} for x in self._scanner.loggers]
+
+
+def _watchers(settings: PressSettings) -> tuple[PressEventDetector, LateBeginning]:
+    return PressEventDetector(press_of(settings)), LateBeginning(press_of(settings))
 
 
 def _channels(threads: Sequence[LoggerThread], wires: Wires) -> tuple[Channel, ...]:

@@ -37,6 +37,8 @@ buffer damaged or gone         ``buffer ... is damaged (...): set aside as ...; 
 entry no store takes           ``the store does not take ...; set aside in ....set-aside.jsonl, everything else is
                                written`` (alarm)
 name of a run taken            ``run ... is in the store already; this pressing is stored as ...`` (warning)
+started within a pressing      ``press lab: recording begins with a panel that is hot already; ...`` (warning):
+                               without a wire nobody knows its closing, its scans are kept without a run
 recorder was killed            ``run ... was interrupted; its data are kept`` (warning), recording goes on
 second recorder, same machine  ``press lab: another recorder writes it into ...; stop that one first`` or ``buffer
                                ...: another recorder uses it``: exit status 2, the first is not disturbed

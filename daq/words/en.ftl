@@ -406,6 +406,7 @@ recording-ends = recording ends
 recording-now = recording { $presses }
 run-interrupted = run { $run } was interrupted; its data are kept
 scans-begin = press { $press }: scans begin
+scans-begin-late = press { $press }: recording begins with a panel that is hot already; if it is being pressed, the rest of that pressing is not stored as a run: its scans are kept like those of an idle press; a limit switch or pressure channel shows it
 scans-left-out = press { $press }: { $count ->
         [one] one scan
        *[other] { $count } scans

@@ -11,6 +11,7 @@ import threading
 import time
 import tomllib
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -300,6 +301,20 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
         change = next(i for i, s in enumerate(scans) if len(s.values) == 15)
         kept = [s.qualities[0] for s in scans[change - 5 : change + 5]]
         assert kept == ["good"] * 10, "the logger that stays noticed the change"
+
+
+def test_a_recorder_started_while_the_press_is_closed_says_that_this_pressing_makes_no_run(tmp_path):
+    with plant(tmp_path) as made, open_store(made.url) as store:
+        made.press = VirtualPress(replace(QUICK, press_time_s=(3600.0, 3600.0)), 3)
+        made.began -= made.press.cycle(0.0).moments.closed_s + 20.0
+        with recording(made):
+            wait_until(lambda: "scans-begin-late" in [e.message.code for e in store.journal(limit=100).items])
+        [late] = [e for e in store.journal(limit=100).items if e.message.code == "scans-begin-late"]
+        assert (late.level, late.press) == ("warning", "lab")
+        assert "this pressing" in str(late.message) or "that pressing" in str(late.message)
+        assert store.runs().items == ()
+        assert store.press_events("lab") == []
+        assert len(store.scans_after("lab", -1, 100).scans) > 10
 
 
 class SettableClock(datetime):
