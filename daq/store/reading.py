@@ -13,7 +13,7 @@ from daq.records import Channel, InputError, Moments, Quality, Scan
 from daq.store.convert import channel_qualities, known_utc, nan, utc_of
 from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN
-from daq.store.sound_rows import of_all, readings_with_gaps, sound, stored_header
+from daq.store.sound_rows import is_object, of_all, readings_with_gaps, sound, stored_header
 from daq.words import say
 
 # Numbers without another source were set by hand, 2026-11.
@@ -233,26 +233,19 @@ def scans_after(connection: Connection, press: str, last_number: int, limit: int
     same = [row for row in rows if row.layout_id == rows[0].layout_id]
     named = layout_channels(connection, rows[0].layout_id)
     table, damaged = readings_with_gaps([row.readings for row in same], len(named))
-    damaged_qualities = (Quality.BAD_FRAME,) * len(named)
+    damaged += [i for i, row in enumerate(same) if row.faults is not None and not is_object(row.faults)]
+    bad = (Quality.BAD_FRAME,) * len(named)
     scans = tuple(
         Scan(
             row.number,
             known_utc(row.unix_s),
             row.monotonic_s,
             tuple(table[i].tolist()),
-            damaged_qualities if i in damaged else _qualities(named, row.faults),
+            bad if i in damaged else channel_qualities(named, row.faults),
         )
         for i, row in enumerate(same)
     )
-    return ScanBatch(named, scans)
-
-
-def _qualities(named: Sequence[Channel], faults: str | None) -> tuple[Quality, ...]:
-    """Return the quality of each channel of a scan, a bad one of all where it cannot be read any more."""
-    try:
-        return channel_qualities(named, faults)
-    except (ValueError, TypeError, AttributeError):
-        return (Quality.BAD_FRAME,) * len(named)
+    return ScanBatch(named, scans, tuple(sorted(same[i].number for i in damaged)))
 
 
 def press_events(

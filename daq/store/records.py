@@ -121,6 +121,8 @@ class ScanBatch:
 
     channels: tuple[Channel, ...]
     scans: tuple[Scan, ...]
+    damaged: tuple[int, ...] = ()
+    """Numbers of those that cannot be read any more, and have no value here."""
 
 
 @dataclass(frozen=True)

@@ -215,6 +215,8 @@ class Follower:
     """For the journal and not in it yet, for the same reason."""
     _departed: set[tuple[str, str]] = field(default_factory=set)
     """Runs and their channels of which it was told that they depart."""
+    _damaged_in: str | None = None
+    """The run (none: empty) of which it was told that a scan cannot be read."""
 
     def __post_init__(self) -> None:
         """Know whom to tell."""
@@ -278,6 +280,10 @@ class Follower:
     def _read_after(self, number: int) -> ScanBatch:
         self.taking = number + 1
         batch = self.store.scans_after(self.name, number, BATCH)
+        if batch.damaged and self._damaged_in != self.run:  # once a run: the fit says so again
+            self._damaged_in = self.run
+            said = say("store-scan-damaged", scan=batch.damaged[0], store=self.store.label)
+            self._untold.add(("alarm", say("of-press", press=self.name, what=said)))
         self.taking = None
         return batch
 

@@ -20,11 +20,15 @@ class RunReader:
     press: str
     left_out: dict[str, Message] = field(default_factory=dict)
     """Runs that could not be read, and what is said of each."""
+    _kept: dict[str, Run] = field(default_factory=dict)
+    """The newest, which every step of a judgement asks for."""
 
     def read(self, run: str) -> Run | None:
         """Return a run, None where it cannot be read."""
         if run in self.left_out:
             return None
+        if run in self._kept:
+            return self._kept[run]
         try:
             return self.store.load_run(run)
         except InputError as error:
@@ -38,11 +42,12 @@ class RunReader:
         They are read from the newest on until so many as are wanted could be; whoever reads older ones must see
         for himself.
         """
-        kept: list[RunRecord] = []
-        sound = 0
+        sound: list[RunRecord] = []
         for record in reversed(list(records)):
-            if sound < wanted and self.read(record.run) is None:
-                continue
-            sound += 1
-            kept.append(record)
-        return kept[::-1]
+            if len(self._kept) < wanted:
+                run = self.read(record.run)
+                if run is None:
+                    continue
+                self._kept[record.run] = run
+            sound.append(record)
+        return sound[::-1]
