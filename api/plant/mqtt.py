@@ -82,7 +82,8 @@ class Broker:
         self._answered = threading.Event()
         self._lost = threading.Event()
         self._reason: Message | None = None
-        self._retained: dict[str, bytes] = {}
+        self._arrived: dict[str, int | None] = {}
+        """Of the topics asked for, the number in the message that the broker keeps."""
         self._marker = threading.Event()
         self._client = paho.Client(
             CallbackAPIVersion.VERSION2, client_id=settings.client + will.client, reconnect_on_failure=False
@@ -114,11 +115,12 @@ class Broker:
         """Ask the broker for the number it really has of every list. Raises `BrokerAway`."""
         marker = self.topic("status", self._settings.client)
         topics = {self.topic(press, kind): (press, kind) for press in presses for kind in KINDS}
+        self._arrived = dict.fromkeys(topics)
         self._client.subscribe([(topic, QOS) for topic in (marker, *topics)])
         self._client.publish(marker, b"", QOS)  # comes back after what was retained
         self._wait(self._marker, "plant-broker-not-subscribed")
         self._client.unsubscribe([marker, *topics])
-        numbers = {place: _number(self._retained.get(topic)) for topic, place in topics.items()}
+        numbers = {place: self._arrived[topic] for topic, place in topics.items()}
         return {place: number for place, number in numbers.items() if number is not None}
 
     def send(self, messages: list[tuple[str, bytes]], *, qos: int = QOS, retain: bool = True) -> None:
@@ -167,9 +169,14 @@ class Broker:
         self._lost.set()
 
     def _on_message(self, client: Any, data: Any, message: paho.MQTTMessage) -> None:
-        if message.retain:
-            self._retained[message.topic] = bytes(message.payload)
-        elif message.topic == self.topic("status", self._settings.client):
+        """Take what the broker sends, of which nothing is sure: numbers are kept, of topics asked for alone."""
+        try:
+            topic = message.topic
+        except UnicodeDecodeError:  # a fault here would end the library's thread, and nobody would hear of it
+            return
+        if message.retain and topic in self._arrived:
+            self._arrived[topic] = _number(message.payload)
+        elif not message.retain and topic == self.topic("status", self._settings.client):
             self._marker.set()
 
 
@@ -258,10 +265,11 @@ def _further(known: Mapping[Place, int], arrived: Mapping[Place, int]) -> dict[P
     return {place: max(number, known.get(place, number)) for place, number in arrived.items()}
 
 
-def _number(retained: bytes | None) -> int | None:
+def _number(retained: bytes | bytearray) -> int | None:
+    """Return the number in a message, None where it holds none: anybody may have written it."""
     try:
-        return int(json.loads(retained)["number"]) if retained else None
-    except (ValueError, TypeError, KeyError):
+        return int(json.loads(retained)["number"])
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return None
 
 
