@@ -220,6 +220,13 @@ def test_every_shipped_mapping_takes_the_flux_its_file_names_and_the_start_its_s
         assert run.header["panel.mass_after_g"] < run.header["panel.mass_before_g"]
 
 
+def test_a_slabs_file_is_not_read_as_a_discs_whose_columns_have_the_same_names(tmp_path):
+    slab = tmp_path / "TIFP+UCT_Wood_Gasification_30kW_hor_parallel_R1.csv"
+    slab.write_text("Time (s),Mass (g),TC back 1 (K)\n0,92.16,298.65\n1,91.98,298.65\n")
+    with pytest.raises(InputError, match="name matches none of the mapping's variants of 'apparatus'"):
+        read_foreign(slab, read_mapping(ROOT / "deploy" / "mappings" / "pine.toml"))
+
+
 VARIANTS = """
 required_variants = ["flux"]
 [time]
