@@ -125,7 +125,8 @@ def test_thirty_presses_stand_on_one_small_screen(served, browser, tmp_path):
 def test_the_band_of_a_tile_is_whole_and_few_tiles_keep_their_size(served, browser, count, tmp_path):
     server, feed, _ = served
     for number in range(2, count + 1):
-        feed.store.register_press(f"press-{number}", CHANNELS, LAB.read_text(encoding="utf-8"))
+        name = f"press-{number}" if number > 2 else "Kurztaktpresse Halle Nord 2"
+        feed.store.register_press(name, CHANNELS, LAB.read_text(encoding="utf-8"))
     append = feed.store.append_estimates
     hot = {"core_celsius": 107.3, "core_low_celsius": 104.2, "core_high_celsius": 110.4}
     feed.store.append_estimates = lambda press, said: append(press, [replace(one, **hot) for one in said])
@@ -139,6 +140,16 @@ def test_the_band_of_a_tile_is_whole_and_few_tiles_keep_their_size(served, brows
     page.wait_for_function(f"document.querySelector('.dense') {'=' if count == 3 else '!'}== null")
     page.screenshot(path=tmp_path / "presses.png")
     page.wait_for_function("(e) => e.scrollWidth <= e.clientWidth", arg=band.element_handle())
+    name = page.locator(".press-tile b", has_text="Kurztakt")
+    assert (
+        name.evaluate("""(name) => {
+        const word = document.createRange();
+        word.setStart(name.firstChild, 0);
+        word.setEnd(name.firstChild, "Kurztaktpresse".length);
+        return word.getClientRects().length;
+    }""")
+        == 1
+    )  # no word of it is broken
     page.close()
     feed.stop.set()
     writer.join(240)

@@ -182,6 +182,7 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
         return drawn || own || styles[0].backgroundColor === rgb;
     }).map((e) => e.className)"""
     page.wait_for_function(f"({green})().length === 0")
+    expect(page.locator(".faces-now:visible")).to_have_count(0)  # "now" was then
     comes(page, written, f"(it) => it['Target 60 °C'] === {of.format('faint')}")
     comes(page, written, f"(it) => it.open !== {of.format('accent')}")  # what was foreseen then
     server.go_on()

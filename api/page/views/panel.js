@@ -42,7 +42,7 @@ export class PanelCards {
     } }, el("option", { value: "" }, text("page-recipe-none")), names.map((one) => el("option", { value: one, selected: one === said.recipe }, one)));
     const name = el("input", { type: "text", id: "next-name", value: said.recipe, maxlength: 100, autocomplete: "off" });
     const message = el("p", { role: "status", class: "small" });
-    this.faces = el("p", { class: "small faint" });
+    this.faces = el("p", { class: "small faint faces-now" });
     const form = el("form", { class: "touch-form" },
       el("label", { for: "next-recipe" }, text("page-recipe"), choice), ...fields.map(({ row }) => row),
       el("label", { for: "next-name" }, text("page-recipe-name"), name),
