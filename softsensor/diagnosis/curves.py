@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.finding import Diagnosis
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.diagnosis.sign_flips import inside
 from softsensor.diagnosis.where import stretches, temperatures, where_row
 from softsensor.fitting.result import json_number, rms

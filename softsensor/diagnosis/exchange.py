@@ -12,7 +12,8 @@ import numpy as np
 
 from softsensor.diagnosis.extension import direction, fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
-from softsensor.diagnosis.search import Candidate, SettledModel, best_secant, extend, probe, refine, size_in
+from softsensor.diagnosis.search import Candidate, best_secant, extend, probe, refine, size_in
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import Effect
 
 CLEARLY = 10.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.extension_unknowns import logarithm_of
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.heat.model_file import FittedValue, ModelFile
 
 

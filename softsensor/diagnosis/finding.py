@@ -16,7 +16,8 @@ from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.laws.choice import Law
 from softsensor.diagnosis.numbers import Errors, Interval
-from softsensor.diagnosis.search import Candidate, SettledModel
+from softsensor.diagnosis.search import Candidate
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import sensor_fault
 from softsensor.heat.model_file import ModelFile
 from softsensor.signals.screen import ChannelFault

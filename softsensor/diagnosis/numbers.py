@@ -11,7 +11,8 @@ import numpy as np
 from daq.records import Array
 from softsensor.diagnosis.extension import RunState, SharedFit
 from softsensor.diagnosis.extension_unknowns import is_shape
-from softsensor.diagnosis.search import CLOCK_ERROR_S, SettledModel
+from softsensor.diagnosis.search import CLOCK_ERROR_S
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import Effect, Need
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
 from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise

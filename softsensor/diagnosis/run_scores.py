@@ -17,7 +17,8 @@ from daq.records import Array, Run
 from softsensor.diagnosis.decision import SMALLEST_EXPONENT, SMALLEST_SIZE
 from softsensor.diagnosis.extension import direction
 from softsensor.diagnosis.extension_unknowns import is_shape
-from softsensor.diagnosis.search import PROBE, SettledModel, candidates_for, settle_base, switch_scores
+from softsensor.diagnosis.search import PROBE, candidates_for, switch_scores
+from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.diagnosis.sign_flips import SCORE_LIMIT
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import ThermalModel

@@ -26,16 +26,8 @@ from softsensor.diagnosis.decision import (
 )
 from softsensor.diagnosis.exchange import exchange, fit_alone
 from softsensor.diagnosis.numbers import noise_floor, residual_K
-from softsensor.diagnosis.search import (
-    FAR_OFF,
-    Candidate,
-    SettledModel,
-    candidates_for,
-    core_errors,
-    extend,
-    panels_given,
-    search,
-)
+from softsensor.diagnosis.search import FAR_OFF, Candidate, candidates_for, core_errors, extend, search
+from softsensor.diagnosis.settling import SettledModel, panels_given
 from softsensor.diagnosis.sign_flips import likelihood_p, max_t, tempered
 from softsensor.effects import Need
 

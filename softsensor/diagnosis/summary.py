@@ -19,7 +19,7 @@ from softsensor.diagnosis.decision import EXCESS, FEW_RUNS, Remains, Verdict, pa
 from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import HARDLY
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called, coefficient_words, place_words

@@ -83,16 +83,9 @@ from softsensor.diagnosis.numbers import (
     measure_errors,
     noise_floor,
 )
-from softsensor.diagnosis.search import (
-    Candidate,
-    SettledModel,
-    extend,
-    panels_as_usual,
-    run_errors,
-    settle_base,
-    with_whole_panels,
-)
+from softsensor.diagnosis.search import Candidate, extend
 from softsensor.diagnosis.selection import Progress, Round, cool_rim, search_all
+from softsensor.diagnosis.settling import SettledModel, panels_as_usual, run_errors, settle_base, with_whole_panels
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, pattern_test, pockets
 from softsensor.diagnosis.where import MOST, stretches, where_row
 from softsensor.effects import Effect, find_effect, sensor_fault

@@ -24,7 +24,7 @@ from softsensor.diagnosis.extension_unknowns import (
     run_values,
     start_eta,
 )
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.fitting.constants import changed_run, fit_doubts
 from softsensor.heat.model import ThermalModel
 from softsensor.planning.information import RunInformation

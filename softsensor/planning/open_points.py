@@ -16,7 +16,7 @@ from softsensor.diagnosis.decision import beyond_chance
 from softsensor.diagnosis.extension import SharedFit, evaluate
 from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of, run_values, start_eta
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.fitting.experiment_advice import WANTED
 from softsensor.planning.design_point import DesignPoint, expected, information_of, opening_row, with_readings
 from softsensor.planning.information import (

@@ -19,7 +19,7 @@ from daq.printed import on_screen
 from daq.records import InputError, Run
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.finding import Diagnosis
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.planning.design_point import DesignPoint, design_point_of, planned_digest, with_core
 from softsensor.planning.open_points import OpenPoint, Prospect, contested, open_causes, open_numbers
 from softsensor.planning.program import Ranges, Settings, default_ranges, designed_run, settings_of

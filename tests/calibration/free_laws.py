@@ -16,7 +16,7 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import make_campaign, press_toml
 from daq.simulated.physics_kernel import STEP_K
 from softsensor.diagnosis.laws.choice import free_law
-from softsensor.diagnosis.search import settle_base
+from softsensor.diagnosis.settling import settle_base
 from softsensor.diagnosis.verdict import _screened
 from softsensor.heat.model import ThermalModel
 from tests.softsensor.test_free_law import EASED, THIN

@@ -17,8 +17,9 @@ from daq.press.press_file import Press, parse_press
 from daq.records import Run
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from softsensor.diagnosis.rehearsal import Rate
-from softsensor.diagnosis.search import extend, settle_base
+from softsensor.diagnosis.search import extend
 from softsensor.diagnosis.selection import cool_rim, left_beside, search_all
+from softsensor.diagnosis.settling import settle_base
 from softsensor.diagnosis.verdict import _screened
 from softsensor.heat.model import ThermalModel
 from tests import second_press

@@ -21,8 +21,9 @@ import numpy as np
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from softsensor.diagnosis.search import Candidate, candidates_for, search, settle_base
+from softsensor.diagnosis.search import Candidate, candidates_for, search
 from softsensor.diagnosis.selection import p_values
+from softsensor.diagnosis.settling import settle_base
 from softsensor.diagnosis.sign_flips import saved_by_most
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import Need, catalogue

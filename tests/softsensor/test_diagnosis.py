@@ -46,20 +46,9 @@ from softsensor.diagnosis.numbers import (
     residual_K,
 )
 from softsensor.diagnosis.run_scores import run_scores
-from softsensor.diagnosis.search import (
-    CLOCK_ERROR_S,
-    HOPELESS,
-    START_NOISE,
-    SWITCHED,
-    Candidate,
-    finer,
-    panels_as_usual,
-    search,
-    settle,
-    settle_base,
-    switch_scores,
-)
+from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candidate, search, switch_scores
 from softsensor.diagnosis.selection import Round, p_values
+from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, settle, settle_base
 from softsensor.diagnosis.sign_flips import MANY, Pocket, likelihood_p, max_t, pattern_test, sign_patterns
 from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
 from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, _screened, diagnose, never_seen

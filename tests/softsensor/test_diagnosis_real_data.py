@@ -9,7 +9,7 @@ from daq.files.mapping import read_foreign, read_mapping
 from daq.press.press_file import read_press
 from daq.words.message import sentences
 from softsensor.diagnosis.curves import curves_of
-from softsensor.diagnosis.search import settle_base
+from softsensor.diagnosis.settling import settle_base
 from softsensor.diagnosis.summary import core_said, sureness, where_said
 from softsensor.diagnosis.verdict import _where, diagnose
 from softsensor.diagnosis.where import temperatures

@@ -24,7 +24,7 @@ from softsensor.diagnosis.laws import kinds as laws
 from softsensor.diagnosis.laws.choice import Law, free_law
 from softsensor.diagnosis.laws.curve import resembles
 from softsensor.diagnosis.laws.fitting import STRENGTHS, learned_strength
-from softsensor.diagnosis.search import SettledModel, settle_base
+from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.diagnosis.summary import law_said
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import find_effect

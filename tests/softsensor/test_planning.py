@@ -22,7 +22,7 @@ from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.diagnosis.decision import SURE_T, Verdict, beyond_chance
 from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
-from softsensor.diagnosis.search import SettledModel, settle_base
+from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
 from softsensor.planning.design_point import design_point_of, planned_digest, shares, with_core

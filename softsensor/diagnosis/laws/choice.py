@@ -15,7 +15,7 @@ from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.laws.curve import band, curve_of, resembles, two_sided
 from softsensor.diagnosis.laws.fitting import Tried, tried
 from softsensor.diagnosis.laws.kinds import kinds
-from softsensor.diagnosis.search import SettledModel, run_errors
+from softsensor.diagnosis.settling import SettledModel, run_errors
 from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import STRENGTH
 from softsensor.heat.model_file import FittedValue

@@ -11,7 +11,7 @@ from daq.records import Array, Nonphysical
 from softsensor.diagnosis.extension import SharedFit, fit_campaign_model, from_the_others, held_out
 from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
 from softsensor.diagnosis.laws.kinds import LawKind
-from softsensor.diagnosis.search import SettledModel, run_errors
+from softsensor.diagnosis.settling import SettledModel, run_errors
 
 STRENGTHS = np.geomspace(0.02, 10.0, 19)
 """Tried standard deviations of the weights, in units of the kind."""

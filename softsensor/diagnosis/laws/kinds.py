@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.search import SettledModel, varies
+from softsensor.diagnosis.search import varies
+from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import Effect, Scene, Terms
 from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import (
