@@ -48,12 +48,13 @@ from softsensor.diagnosis.numbers import (
 from softsensor.diagnosis.run_scores import run_scores
 from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candidate, search, switch_scores
 from softsensor.diagnosis.selection import Round, p_values
-from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, settle, settle_base
+from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, run_errors, settle, settle_base
 from softsensor.diagnosis.sign_flips import MANY, Pocket, likelihood_p, max_t, pattern_test, sign_patterns
 from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
 from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, _screened, diagnose, never_seen
 from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN, find_effect
+from softsensor.fitting.one_run import fit_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_reading import parse_model
 from softsensor.heat.timing import OPENING_RAMP, OPENING_RAMP_S
@@ -524,6 +525,16 @@ def test_panels_that_differ_as_panels_do_are_no_unknown_effect() -> None:
     assert found.base.rmse_K < EXCESS * found.noise_floor_K
     assert found.verdict == "no_effect"
     assert [m.code for m in verdict_said(found)] == ["verdict-plain-model-explains"]
+
+
+def test_a_base_meets_a_run_that_its_own_fit_meets_however_far_off_the_guesses_are() -> None:
+    """A press file without guesses of its own; begun from the usual ones the run stays 9 K off."""
+    plain = parse_press(re.sub(r"\[coefficients[^[]*", "", press_toml()))
+    run = make_campaign(303, 1, None, Plan(rate_hz=4.0))[0][0]
+    assert fit_run(ThermalModel(plain), run, moments_seen(run, plain), company=None).met
+    base = settle_base(ThermalModel(plain), _screened(plain, [run])[1])
+    assert run_errors(base.data, base.fit.runs)[0] < 0.1
+    assert base.misfit < 1.2
 
 
 def test_a_campaign_whose_runs_have_all_gone_astray_finds_its_way_back() -> None:
