@@ -249,16 +249,18 @@ def fit_campaign_model(
     return SharedFit(layout, theta, tuple(runs), hessians, gradients, prior, converged)
 
 
-def unstuck(fit: SharedFit, data: Sequence[Whitened]) -> SharedFit:
+def unstuck(fit: SharedFit, data: Sequence[Whitened], begin: Callable[[int], Array] | None = None) -> SharedFit:
     """Fit again where runs are worse off only because of where they began.
 
     Those far worse off than the others, or than noise: most of a campaign may have gone astray together, with
-    moments and contacts. What a cause then seemed to save was a fresh start.
+    moments and contacts. What a cause then seemed to save was a fresh start. `begin`: where a run begins again;
+    by default at the middle of its priors.
     """
+    begin = begin or (lambda r: start_eta(fit.layout, r, fit.theta))
     misfits = np.array([r.cost / len(r.residual) for r in fit.runs])
     etas, freed = [r.eta for r in fit.runs], False
     for r in np.flatnonzero(misfits > STUCK * min(float(np.median(misfits)), 1.0)).tolist():
-        again = fit_run_to(fit.layout, r, data[r], fit.theta, start_eta(fit.layout, r, fit.theta), rounds=8)
+        again = fit_run_to(fit.layout, r, data[r], fit.theta, begin(r), rounds=8)
         if again.cost < 0.8 * fit.runs[r].cost:
             etas[r], freed = again.eta, True
     if not freed:

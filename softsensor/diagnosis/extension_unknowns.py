@@ -198,3 +198,10 @@ def start_eta(layout: Unknowns, run: int, theta: Array) -> Array:
     """Return a run's numbers at the middle of their priors."""
     shared = layout.named(theta)
     return np.array([u.centre + shared.get(u.shared, 0.0) for u in layout.unknowns[run]])
+
+
+def eta_of(layout: Unknowns, run: int, values: Mapping[str, float]) -> Array:
+    """Return a run's numbers of these values, by name; where there is none, at the middle of the prior."""
+    own = layout.unknowns[run]
+    there = [u.estimate(values[u.name]) if u.name in values else u.centre for u in own]
+    return np.clip(there, [u.lower for u in own], [u.upper for u in own])

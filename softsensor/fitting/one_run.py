@@ -190,13 +190,25 @@ def _settle(problem: Problem) -> _Settled:
     return min(found, other, key=lambda settled: settled.rmse)
 
 
+def first_values(problem: Problem) -> dict[str, float]:
+    """Return every parameter's value where the first search of a run ends, for a fit of many that is far off."""
+    return problem.merged(_first_search(problem)[1].x)
+
+
+def _first_search(problem: Problem) -> tuple[Problem, Minimum]:
+    """Return the run with its rows blurred by what their timing leaves unknown, and where a rough search ends."""
+    moment = moment_sd(problem.signals.period_s)
+    moving = with_motion(problem, problem.start, FIRST_TIMING_S + timing(problem), moment)
+    problem = replace(problem, blur=moving.blur)
+    return problem, _roughly(problem)
+
+
 def _search(problem: Problem) -> _Settled:
     """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
     period = problem.signals.period_s
-    moving = with_motion(problem, problem.start, FIRST_TIMING_S + timing(problem), moment_sd(period))
-    problem = replace(problem, blur=moving.blur)
+    problem, first = _first_search(problem)
     initial = problem.evaluate(problem.start)
-    problem, x = recentre(problem, _roughly(problem).x)
+    problem, x = recentre(problem, first.x)
     problem = replace(problem, correction=grid_correction(problem, x))
     problem = with_constants(problem, x)
     problem = with_motion(problem, x, timing(problem), PLACED_ROWS * period)
