@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softsensor.diagnosis.extension import direction, fit_campaign_model
+from softsensor.diagnosis.directions import direction
+from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
 from softsensor.diagnosis.search import Candidate, best_secant, extend, probe, refine, size_in
 from softsensor.diagnosis.settling import SettledModel

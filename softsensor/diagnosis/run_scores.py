@@ -15,7 +15,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import Array, Run
 from softsensor.diagnosis.decision import SMALLEST_EXPONENT, SMALLEST_SIZE
-from softsensor.diagnosis.extension import direction
+from softsensor.diagnosis.directions import direction
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import PROBE, candidates_for, switch_scores
 from softsensor.diagnosis.settling import SettledModel, settle_base

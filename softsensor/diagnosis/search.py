@@ -18,11 +18,10 @@ import numpy as np
 
 from daq.printed import on_screen
 from daq.records import Array
+from softsensor.diagnosis.directions import Direction, direction
 from softsensor.diagnosis.extension import (
-    Direction,
     RunState,
     SharedFit,
-    direction,
     fit_campaign_model,
     from_the_others,
     held_out,

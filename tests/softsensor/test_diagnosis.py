@@ -21,10 +21,10 @@ from daq.words.message import catalogue_of, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA, ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
+from softsensor.diagnosis.directions import Direction
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import (
     STUCK,
-    Direction,
     RunState,
     bounded_offsets,
     evaluate,

@@ -5,7 +5,8 @@ import pytest
 
 from daq.press.press_file import parse_press
 from daq.records import Run
-from softsensor.diagnosis.extension import direction, fit_campaign_model
+from softsensor.diagnosis.directions import direction
+from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
