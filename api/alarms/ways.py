@@ -12,9 +12,10 @@ from base64 import b64encode
 from dataclasses import dataclass, field
 from email.message import EmailMessage
 from hashlib import sha256
+from http.client import HTTPException, responses
 from pathlib import Path
 from typing import Protocol
-from urllib.error import URLError
+from urllib.error import HTTPError, URLError
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 from api.answers.alarms import alarm_of
@@ -78,7 +79,21 @@ class Email:
                     _login(server, s.user, _first_line(s.password_file))
                 server.send_message(self.message(alarm))
         except (smtplib.SMTPException, OSError, ValueError) as error:
-            raise NotDelivered(f"{s.host}:{s.port}: {error or type(error).__name__}") from error
+            said = f"{s.host}:{s.port}: {error or type(error).__name__}"
+            raise NotDelivered(self._without_password(said)) from error
+
+    def _without_password(self, said: str) -> str:
+        """Return what a mail server answers without the password, which it may repeat as it was sent."""
+        user = self.settings.user
+        try:
+            password = _first_line(self.settings.password_file) if user else ""
+        except (OSError, UnicodeDecodeError):  # nothing was sent then
+            return said
+        sent = (f"\0{user}\0{password}", password)
+        forms = [form for one in sent for form in (_coded(one), _coded(one).rstrip("="), repr(one)[1:-1], one)]
+        for form in forms if password else ():
+            said = said.replace(form, "***")
+        return said
 
     def message(self, alarm: StoredAlarm) -> EmailMessage:
         """Return the message, in the language configured."""
@@ -146,8 +161,10 @@ class Webhook:
             request = Request(address, body, head, method="POST")
             with build_opener(_NoRedirect).open(request, timeout=TRY_S):
                 return
-        except (URLError, OSError, ValueError) as error:
-            raise NotDelivered(getattr(error, "reason", "") or type(error).__name__) from error
+        except HTTPError as error:  # in its own words the receiver may repeat the address
+            raise NotDelivered(f"{error.code} {responses.get(error.code, '')}".strip()) from error
+        except (URLError, HTTPException, OSError, ValueError) as error:
+            raise NotDelivered(str(getattr(error, "reason", "")) or type(error).__name__) from error
 
 
 def ways_of(email: EmailSettings | None, webhook: WebhookSettings | None, store: str) -> list[Way]:
