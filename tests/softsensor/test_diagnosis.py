@@ -167,14 +167,14 @@ def test_a_cause_saves_the_same_in_its_own_table_among_the_candidates_and_in_its
     (effect,) = content["effects"]
     (row,) = [c for c in content["candidates"] if c["name"] == effect["name"]]
     assert row["heldout_gain_K"] == effect["heldout_gain_K"] == effect["worth_said"]["arguments"]["gain"]
-    assert f"by {effect['heldout_gain_K']:.2f} K on runs left out, in the mean" in effect["worth"]
+    assert f"by {effect['heldout_gain_K']:.2f} K on a typical run left out" in effect["worth"]
 
 
 def test_a_stored_diagnosis_carries_what_a_cause_is_worth_as_a_sentence_and_as_a_code() -> None:
     (effect,) = as_stored(diagnosed("edge_loss", 501, 7, 0.5))["effects"]
     assert effect["worth"].startswith("lowers the residual by ")
     assert effect["worth_said"]["code"] == "worth-saves"
-    assert words(Message.from_json(effect["worth_said"]), "de").startswith("senkt das Residuum um ")
+    assert words(Message.from_json(effect["worth_said"]), "de").startswith("senkt das Residuum einer typischen ")
 
 
 def test_the_model_file_carries_the_cause_for_other_commands() -> None:
