@@ -31,7 +31,7 @@ from api.commands.probing import probe
 from api.commands.publishing import publish
 from api.outputs import WorkFailed, in_words, speak
 from daq.records import InputError
-from daq.words import say, spoken
+from daq.words import Message, say, spoken
 from daq.words.message import ENGLISH, languages
 
 app = typer.Typer(
@@ -115,8 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "KERNTEMP_TRACEBACK" in os.environ:
             raise
-        said = say("terminal-unexpected", kind=type(error).__name__, why=str(error))
-        return _complain(WorkFailed(said), 1)
+        if not isinstance(error.args[0] if error.args else None, Message):  # nobody foresaw it
+            error = WorkFailed(say("terminal-unexpected", kind=type(error).__name__, why=str(error)))
+        return _complain(error, 1)
     return status if isinstance(status, int) else 0
 
 

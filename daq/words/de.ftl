@@ -243,7 +243,7 @@ given-key-no-text = Schlüssel { $key } ist kein Text; Namen als Texte angeben
 given-mapping-without-file = { $found }: eine Zuordnungsdatei erklärt die Datei eines fremden Loggers; gib den Pfad dieser Datei an, oder benenne die Spalten der Tabelle um und lass die Zuordnung weg
 given-no-effect = { $found }: ein Effekt wird als Effect angegeben
 given-no-header = { $found }: ein Kopf wird als Zuordnung von Schlüsseln mit Punkten angegeben, etwa {"{"}"panel.thickness_mm": 16.0{"}"}
-given-no-language = Sprache { $language }: es gibt Wörter in { $languages }
+given-no-language = Sprache { $language } ist nicht vorhanden; es gibt { $languages }
 given-no-limits = { $found }: Grenzen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"core_least_C": 110.0{"}"}
 given-no-mapping = { $found }: eine Zuordnungsdatei wird mit ihrem Pfad angegeben
 given-no-measurement = { $found }: Messungen werden als Liste von Tupeln angegeben: ein Run, seine Moments und seine wahren Koeffizienten nach Namen
@@ -288,7 +288,7 @@ press-boundary-needs-coefficient = kind = "air" braucht coefficient, den Namen d
 press-boundary-needs-column = kind = "measured" braucht column, die Spalte der Laufdatei mit der Temperatur
 press-boundary-no-flux-of-run = from_run gehört zu kind = "flux", nicht zu { $kind }: der Wärmestrom kommt damit aus dem Kopf der Laufdatei
 press-coefficient-unused = { $name }: kein Kontakt und kein Rand verwendet ihn; verwendet werden { $used }
-press-contact-cannot-part = { $boundary } ist von der Art '{ $kind }', von der sich keine Schicht trennt; einen Namen angeben
+press-contact-cannot-part = von { $boundary } der Art '{ $kind }' kann sich keine Schicht trennen; einen Namen angeben
 press-contact-no-neighbours = keine Nachbarn, von unten nach oben genannt; möglich sind { $possible }
 press-contact-twice = zweimal angegeben
 press-depth-outside = außerhalb der Schicht '{ $layer }', die { NUMBER($thickness_mm) } mm dick ist
@@ -308,7 +308,7 @@ press-wire-as-temperature = würde als Temperatur gelesen, wegen '{ $pattern }';
 press-wire-twice = ist schon der Endschalter; eine andere Spalte nennen
 printed-model = Modell { $version } der Presse { $press }
 printed-more = ... und { $count } weitere
-printed-nothing-missing = nichts fehlt: { NUMBER($percent, maximumFractionDigits: 0) } %, nach { $runs } { $runs ->
+printed-nothing-missing = Wahrscheinlichkeit, dass dem Modell nichts fehlt: { NUMBER($percent, maximumFractionDigits: 0) } %, nach { $runs } { $runs ->
     [one] Pressung
    *[other] Pressungen
 }
@@ -738,7 +738,7 @@ load-zero-while-closed = { $run }: Druckspalte '{ $column }' = { $value } bei ti
 model-file-covariance = { $file }: covariance von { $row } und { $column } = { $value }: das steht da in keiner Kovarianzmatrix; den Schlüssel covariance weglassen oder neu anpassen
 model-file-covariance-of = { $file }: covariance.names nennt { $name }, wovon die Datei keinen Wert gibt; sie gibt { $known }
 model-file-covariance-shape = { $file }: covariance.matrix ist { $shape }, und covariance.names hat { $names }; je Name muss sie eine Zeile und eine Spalte haben
-model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } = { $value } ({ $effect }) liegt außerhalb der Grenzen { NUMBER($lower, maximumFractionDigits: 9) } bis { NUMBER($upper, maximumFractionDigits: 6) } { $unit } ({ $source })
+model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } = { $value } ({ $effect }) liegt außerhalb der Grenzen { NUMBER($lower, maximumFractionDigits: 9) } bis { NUMBER($upper, maximumFractionDigits: 6) } { $unit }
 model-file-effect-twice = { $file }: effects.{ $number }: { $effect } steht zweimal in effects; einen Eintrag behalten
 model-file-effect-unnamed = { $file }: effects.{ $number } hat keinen Namen
 model-file-effect-without-size = { $file }: effects.{ $number }: { $effect } hat keine Größe; unter parameters angeben: { $known }
@@ -775,7 +775,7 @@ start-layer-without-reading = { $run }: [initial] kind = "sensors" braucht eine 
 start-no-readings = { $run }: [initial] kind = "sensors" braucht eine Messung; alle Plattenkanäle sind leer
 start-not-steady = { $run }: { $why }; [initial] kind = "uniform" mit temperature_C oder "sensors" angeben oder Ränder und Kontakte berichtigen
 start-not-steady-steep = die Ruhetemperaturen sind nicht zu finden: Stoffwerte oder Strahlung ändern sich zu steil mit der Temperatur
-start-not-steady-untied = Schicht '{ $layer }' hängt an keiner Temperatur und hat darum keine Ruhetemperatur
+start-not-steady-untied = Schicht '{ $layer }' tauscht mit nichts von gegebener Temperatur Wärme aus und hat darum keine Ruhetemperatur
 start-not-steady-untied-without-panel = Schicht '{ $layer }' hängt ohne Platte an keiner Temperatur und hat darum keine Ruhetemperatur
 value-at-least = { $name } = { $value }: muss eine endliche Zahl sein, mindestens { NUMBER($least, maximumFractionDigits: 6) }
 value-at-most = { $name } = { $value }: muss eine endliche Zahl sein, höchstens { NUMBER($most, maximumFractionDigits: 6) }
@@ -860,7 +860,7 @@ fit-role-joined = Er koppelt { $below } und { $above }.
 fit-role-open = Er koppelt { $below } und { $above } bei offener Presse ({ NUMBER($before, maximumFractionDigits: 0) } s vor dem Schließen und { NUMBER($after, maximumFractionDigits: 0) } s nach dem Öffnen in dieser Pressung).
 fit-role-open-face = Er wirkt an einer freien Seite ({ $layer }) bei offener Presse ({ NUMBER($before, maximumFractionDigits: 0) } s vor dem Schließen und { NUMBER($after, maximumFractionDigits: 0) } s nach dem Öffnen in dieser Pressung).
 fit-shared = ein Wert in allen Pressungen, aus allen gemeinsam bekannt
-fit-shared-unknown = ein Wert in allen Pressungen, und auch aus allen gemeinsam nicht bekannt
+fit-shared-unknown = ein Wert in allen Pressungen, auch aus allen gemeinsam nicht bestimmt
 fit-shortfall-all =
     { $more ->
         [0] Das Modell beschreibt keine dieser Pressungen: { $runs }. Sie bestimmen keinen Koeffizienten; das Modell behält die Anfangswerte der Pressendatei.
@@ -939,7 +939,7 @@ diagnosis-verdict-unknown_effect = unbekannter Effekt
 gain-hardly = { $causes ->
         [one] Damit
        *[other] Mit ihnen
-    } ändert sich das Residuum kaum: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } und { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen.
+    } ändert sich das Residuum kaum: von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } auf { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen.
 gain-more-is-missing = Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, es fehlt also noch etwas, das diese Pressungen nicht benennen können.
 gain-residual-falls = { $causes ->
         [one] Damit
@@ -1044,7 +1044,7 @@ law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
 law-axis-load_share = Druck, als Anteil seines Bezugs
 law-axis-temperature_C = Temperatur [°C]
 law-axis-time_since_closing_s = Zeit seit dem Schließen [s]
-law-changes = Über das, was die Pressungen durchliefen, { $change ->
+law-changes = Über den Bereich, den die Pressungen durchliefen, { $change ->
         [falls] fällt
        *[rises] steigt
     } er zwischen { NUMBER($begin, maximumSignificantDigits: 3) } und { NUMBER($end, maximumSignificantDigits: 3) } um { NUMBER($percent, maximumFractionDigits: 0) } %.
@@ -1063,7 +1063,7 @@ law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abküh
 law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
 law-none = Kein freies Gesetz: bei keinem ist sicher, dass es ausgelassene Pressungen verbessert.
 law-not-told-from = Diese Pressungen können es nicht unterscheiden von: { $others }.
-law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
+law-resembles = In seinem Band stimmt er mit der Kurve einer bekannten Ursache überein: { $cause }.
 law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
 law-variable-load_share = Druck als Anteil seines Bezugs
@@ -1094,7 +1094,7 @@ rehearsal-wrong = andere Ursache genannt
 ## softsensor.planning: the next pressings
 
 advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Wann zu öffnen ist, entscheidet der Softsensor im Betrieb.
-advise-best = { NUMBER($seconds, maximumFractionDigits: 0) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit { NUMBER($percent, maximumFractionDigits: 1) } %
+advise-best = { NUMBER($seconds, maximumFractionDigits: 0) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit einer Wahrscheinlichkeit von { NUMBER($percent, maximumFractionDigits: 1) } %
 advise-cure-without-resin = eine Grenze der Aushärtung braucht die Kinetik des Harzes; auch eine Harzdatei angeben
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh je Platte, { NUMBER($panels, maximumFractionDigits: 0) } Platten in der Stunde
 advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } Cent je Platte
@@ -1105,13 +1105,13 @@ advise-limit-cure_bottom = untere Seite nicht ausgehärtet
 advise-limit-cure_top = obere Seite nicht ausgehärtet
 advise-limit-steam_most = zu viel Dampf
 advise-load-unit = Presse { $press }: das Modell folgt der Last in Spalte { $column }, deren Einheit nirgends steht: beim Kontakt in load unit = "N/cm2", "kPa", "bar" oder "MPa" angeben
-advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
+advise-margin = Die Hälfte der Platten ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
 advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
 advise-no-limit = keine Grenze angegeben; eine Harzdatei mit [limits] angeben, oder was der Kern mindestens oder höchstens erreichen soll
-advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } mit einer Wahrscheinlichkeit von { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Platte: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': muss SCHLÜSSEL=WERT sein, etwa panel.thickness_mm=16
-advise-press-time-narrow = Bereich von press_time_s, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: Presszeiten werden im Abstand von { NUMBER($step) } s geprüft, und keine liegt dazwischen; den Bereich weiten
+advise-press-time-narrow = Bereich von press_time_s, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: Presszeiten werden in Schritten von { NUMBER($step) } s geprüft, und keine liegt im Bereich; ihn weiten
 advise-press-without-states = { $press }: nach der Pressendatei öffnet und schließt nichts, also gibt es keine Presszeit
 advise-pressure = Druck: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
 advise-pressure-unknown = Bereich von { $name }: das Modell weiß nicht, was der Druck bewirkt, denn nichts in ihm folgt einer Last; weglassen, oder zuerst Pressungen mit verschiedenem Druck diagnostizieren
@@ -1133,7 +1133,7 @@ plan-open-core = Der Kern beim Öffnen ist auf ±{ NUMBER($kelvin, maximumFracti
 plan-open-suspected = Im Verdacht, nicht bewiesen: { $causes }
 plan-range-unknown = Bereich von { $name }: diese Einstellung gibt es hier nicht; bekannt sind { $known }
 plan-range-unreadable = --range '{ $given }': muss NAME=UNTEN:OBEN sein, etwa thickness_mm=8:19
-plan-range-wrong = Bereich von { $name }, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: das untere Ende steht zuerst, und beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
+plan-range-wrong = Bereich von { $name }, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: das untere Ende zuerst angeben; beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
 plan-repeated = Die üblichen Einstellungen noch einmal: { $prospect }
 plan-runs = { $runs ->
     [one] { $runs } genügt
@@ -1152,13 +1152,13 @@ plan-setting-wrong = { $name } = { $value } muss zwischen { $lower } und { $uppe
 plan-settles = Eine Pressung klärt es mit { NUMBER($percent, maximumFractionDigits: 0) } % Wahrscheinlichkeit; { $runs }.
 plan-settles-surely = Eine Pressung klärt es so gut wie sicher: mit über 99 % Wahrscheinlichkeit.
 plan-with-core = Mit einem Fühler im Kern: { $settings }. { $prospect }
-what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDigits: 0) } s wird nicht gerechnet; eine kürzere Presszeit wählen
+what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDigits: 0) } s wird nicht simuliert; eine kürzere Presszeit wählen
 
 ## softsensor.live: why the core is not valid
 
 blisters-bear = Die Hälfte der Platten hält { NUMBER($most, maximumFractionDigits: 0) } kPa Dampf aus (95 %: { NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) }).
-blisters-foreseen = Spätere Platten, jede nach den vor ihr markierten beurteilt: Was aus ihnen wurde, galt zu { NUMBER($learned, maximumFractionDigits: 0) } % als wahrscheinlich, nach der angegebenen Grenze zu { NUMBER($stated, maximumFractionDigits: 0) } %.
-blisters-keep = Daneben, damit diese Markierungen nicht noch einmal zählen, wenn aus weiteren gelernt wird: steam_believed_kPa = { NUMBER($believed, maximumFractionDigits: 2) }, steam_believed_kPa.sd = { NUMBER($sd, maximumFractionDigits: 2) }
+blisters-foreseen = Spätere Platten, jede aus den vor ihr markierten vorhergesagt: Was aus ihnen wurde, hatte im Mittel eine Wahrscheinlichkeit von { NUMBER($learned, maximumFractionDigits: 0) } %, nach der angegebenen Grenze { NUMBER($stated, maximumFractionDigits: 0) } %.
+blisters-keep = Diese beiden ebenfalls ablegen, damit dieselben Platten nicht zweimal zählen: steam_believed_kPa = { NUMBER($believed, maximumFractionDigits: 2) }, steam_believed_kPa.sd = { NUMBER($sd, maximumFractionDigits: 2) }
 blisters-marks = { $marks ->
         [one] Eine markierte Platte
        *[other] { $marks } markierte Platten
@@ -1167,11 +1167,11 @@ blisters-write = Für [limits] der Harzdatei: steam_most_kPa = { NUMBER($most, m
 core-may-pass-limit-soon = der Kern kann in { NUMBER($seconds, maximumFractionDigits: 0) } s { NUMBER($limit_C, maximumFractionDigits: 1) } °C überschreiten: Presse öffnen
 core-will-pass-limit = der Kern wird bis auf { NUMBER($peak_C, maximumFractionDigits: 0) } °C steigen, über die Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 core-will-pass-limit-even-if-opened = der Kern wird { NUMBER($peak_C, maximumFractionDigits: 0) } °C erreichen, selbst wenn die Presse jetzt öffnet, über der Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
-reason-another-panel = keine frühere Pressung dieser Presse hatte eine Platte von { NUMBER($header_mm, maximumFractionDigits: 1) } mm, die nächste hatte { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm: beide können dort liegen, und das Band über beide ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K; die Dicke in den Kopfdaten prüfen
+reason-another-panel = Plattendicke zweifelhaft: { NUMBER($header_mm, maximumFractionDigits: 1) } mm in den Kopfdaten, { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm in der nächsten früheren Pressung dieser Presse; das Band über beide ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K; die Dicke in den Kopfdaten prüfen
 reason-band-too-wide = Kern nicht bestimmbar: das Band ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestartet
 reason-clock-ahead = die Messzeilen tragen eine Zeit, die der Uhr dieses Rechners { NUMBER($ahead_s, maximumFractionDigits: 0) } s voraus ist: Uhren stellen
-reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht auf die Hälfte genau bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Pressungen hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
+reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht besser als auf 50 % bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Pressungen hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
 reason-core-impossible = der berechnete Kern hat { NUMBER($core_C, maximumFractionDigits: 0) } °C, was unmöglich ist: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat die Platte berührt
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
 reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
@@ -1192,8 +1192,8 @@ reason-readings-contradict-the-model = die Fühler der Platte widersprechen dem 
 reason-run-begins-in-the-closed-press = die Aufzeichnung beginnt in der geschlossenen Presse
 reason-run-begins-with-the-panel-on-the-hot-plate = die Aufzeichnung beginnt mit der Platte auf der heißen Heizplatte
 reason-run-refused = der Pressung kann nicht gefolgt werden: { $problem }
-reason-start-temperature-contradicted = die Fühler zeigen { NUMBER($measured_C, maximumFractionDigits: 0) } °C, laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C
-reason-start-temperature-too-high = laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C; so heiß ist keine frische Platte
+reason-start-temperature-contradicted = die Fühler zeigen { NUMBER($measured_C, maximumFractionDigits: 0) } °C, die Kopfdaten nennen { NUMBER($header_C, maximumFractionDigits: 0) } °C als Anfangstemperatur
+reason-start-temperature-too-high = die Kopfdaten nennen { NUMBER($header_C, maximumFractionDigits: 0) } °C als Anfangstemperatur; so heiß ist keine frische Platte
 reason-store-away = der Datenspeicher antwortet nicht
 resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier messen und dessen Kinetik in die Harzdatei eintragen
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
@@ -1276,7 +1276,7 @@ night-outcome =
 night-rejected = { $version } abgelehnt: { $reason }
 night-too-few-runs = { $runs } Pressungen ausgewertet, { $needed } sind nötig
 night-too-few-to-judge = zu wenige Pressungen für ein Urteil
-night-without-sisters = { $press }: beginnt ohne das, was baugleiche Pressen wissen: { $why }
+night-without-sisters = { $press }: beginnt ohne das, was baugleiche Pressen gelernt haben: { $why }
 night-workers-killed = { $press }: Die Prozesse, die an ihrer Nacht arbeiteten, wurden abgebrochen; der nächtliche Lauf arbeitet selbst daran, Pressung für Pressung
 night-workers-lost = Die Prozesse gingen verloren: { $why }; an den übrigen Pressen arbeitet der nächtliche Lauf selbst
 press-problem = { $press }: { $problem }
@@ -1327,7 +1327,7 @@ figure-measured-mean = gemessen, Mittel aus { $channels } Fühlern ± ihre Streu
 figure-measured-minus-model = gemessen − Modell [K]
 figure-misfit-saved = Abnahme [σ²]
 figure-model = Modell, { $model }
-figure-moves-with = { $run }: { $one } ändert sich am meisten mit { $other } (Korrelation { $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
+figure-moves-with = { $run }: { $one } korreliert am stärksten mit { $other } ({ $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
 figure-normalised = Bezogen auf das Mittel: { $name } schwankt am meisten von Pressung zu Pressung ({ NUMBER($percent, maximumFractionDigits: 0) } %)
 figure-not-described = { $run }: das Modell beschreibt diese Pressung nicht: { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) daneben ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit Schätzwerten)
 figure-nothing-known = Kein Koeffizient ist bekannt: das Modell beschreibt das Gemessene nicht
@@ -1458,8 +1458,8 @@ report-from-on = { $begin } s bis zum Ende
 report-from-to = { $begin } s – { $end } s
 report-gain = Was gewonnen ist
 report-how = Wie das gefunden wurde
-report-how-averages = Die Werte einzelner Pressungen stammen aus dem Verfahren des Aufsatzes, { $method } auf Mittelwerten der oberen und unteren Fühler; Zeitpunkte, Urteile und gemeinsame Schätzungen aus unserem eigenen:
-report-how-channels = Die Werte einzelner Pressungen stammen aus dem Verfahren des Aufsatzes, { $method } auf jedem Fühler mit eigenem Versatz; Zeitpunkte, Urteile und gemeinsame Schätzungen aus unserem eigenen:
+report-how-averages = Die Werte einzelner Pressungen stammen aus dem Verfahren des Aufsatzes, { $method } auf Mittelwerten der oberen und unteren Fühler; Zeitpunkte, Urteile und gemeinsame Schätzungen aus dem Verfahren von Kerntemp:
+report-how-channels = Die Werte einzelner Pressungen stammen aus dem Verfahren des Aufsatzes, { $method } auf jedem Fühler mit eigenem Versatz; Zeitpunkte, Urteile und gemeinsame Schätzungen aus dem Verfahren von Kerntemp:
 report-how-fitted = Levenberg–Marquardt im Logarithmus der Koeffizienten. Schließen, Öffnen und Schließrampe, Starttemperatur, Heizplatten- und Fühlerfehler werden in den Grenzen angepasst, in denen eine Messkette falsch sein kann, und verbreitern die Intervalle. Residuen gelten als zeitlich korreliert, ihre Größe wird aus jeder Pressung geschätzt. Ob ein Koeffizient bestimmbar ist, zeigt das Profil der Likelihood dieser Pressung.
 report-how-model = Geschichtete Wärmeleitung mit einem Übergangskoeffizienten zwischen Nachbarn für jeden Pressenzustand, implizit gelöst mit exakten Ableitungen.
 report-hundredths = { NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
@@ -1472,7 +1472,7 @@ report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($p
 report-legend-coefficients = Punkte: einzelne Pressungen mit 95-%-Intervallen. Linie und Band: Mittel und σ. Kreuz: eine Pressung, in der der Koeffizient nicht bestimmbar ist, beim Mittel gezeichnet.
 report-legend-core = Kern: die Mitte der Platte nach dem angepassten Modell. Sein Band ist, was Koeffizienten, Zeitpunkte, Messkette und die Konstanten der Platte offen lassen (95 %), soweit das Modell selbst stimmt. Kernthermoelemente nehmen an der Anpassung nicht teil.
 report-legend-every-run = W/m²K, ± das halbe 95-%-Intervall. Kursiv: in dieser Pressung nicht bestimmbar; das Intervall, das die Daten offen lassen. Nicht beschrieben: das Modell passt nicht zur Pressung, aus ihr wird also nichts gelesen.
-report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, verlassen sie das Bild, und der größte Wert steht dabei.
+report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, liegen sie außerhalb der Skala, und der größte Wert steht dabei.
 report-legend-normalised = Punkte: einzelne Pressungen bezogen auf das Mittel, in ihrer Reihenfolge. Balken: ± σ.
 report-legend-profile = Ein Profil zeigt, wie viel schlechter das Modell zur Pressung passt, je weiter ein Koeffizient verschoben wird, während alle anderen Unbekannten folgen; wo es unter der Linie bleibt, passt der Wert ebenso gut (95 %). Ein Profil, das die Linie auf einer Seite nicht schneidet, ist dort offen.
 report-legend-run = Punkte: Mittel der Messwerte; getönt darum: vom niedrigsten bis zum höchsten Fühler. Grau: das einfache Modell mit den eigenen Koeffizienten dieser Pressung. Orange: mit der Ursache. Gestrichelt: Kern der Platte, wie der Kopf sie angibt. Getönt: Presse geschlossen; darunter, wo das einfache Modell am weitesten danebenliegt, und was dort gemessen wurde.
@@ -1564,21 +1564,21 @@ report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen,
 ## api: when to open
 
 advice-blocked = { $limit ->
-        [core_least] der Kern wird in der Vorausschau nicht heiß genug
+        [core_least] der Kern wird in der Vorhersagezeit nicht heiß genug
         [core_most] der Kern ist zu heiß
-        [cure_bottom] die untere Fläche härtet in der Vorausschau nicht aus
-        [cure_top] die obere Fläche härtet in der Vorausschau nicht aus
+        [cure_bottom] die untere Fläche härtet in der Vorhersagezeit nicht aus
+        [cure_top] die obere Fläche härtet in der Vorhersagezeit nicht aus
         [steam_most] zu viel Dampf, oder sein Druck ist nicht bekannt
        *[sudden_change] in der Presse hat sich etwas geändert: wie weit die Flächen gehärtet sind, ist nicht bekannt
     }
 advice-estimate-old = Stand vor { SPAN($seconds) }
 advice-no-limit = die Harzdatei hat keine Grenze
-advice-no-look-ahead = der Softsensor hat noch nicht vorausgeschaut
+advice-no-look-ahead = der Softsensor hat noch keine Vorhersage
 advice-no-panel = keine Platte in der Presse
 advice-no-target = kein Kernziel gesetzt
 advice-not-closed = Presse noch nicht geschlossen
 advice-not-known = nicht bekannt: { $why }
-advice-old = die letzte Vorausschau ist { SPAN($seconds) } alt
+advice-old = die letzte Vorhersage ist { SPAN($seconds) } alt
 advice-open-in = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-open-in-at-least = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } oder später)
 advice-open-in-between = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) })
@@ -1595,7 +1595,7 @@ alarm-body =
 alarm-core-above = { $press }: der Kern ist über { NUMBER($limit, maximumFractionDigits: 1) } °C
 alarm-drift = { $press }: { $coefficient } liegt seit { $since } bei { NUMBER($percent, maximumFractionDigits: 0) } % des Gewohnten
 alarm-file = { $path }: nicht lesbar: { $why }
-alarm-language = email.language = { $language }: Worte gibt es für { $known }
+alarm-language = email.language = { $language } ist nicht vorhanden; es gibt { $known }
 alarm-limits-crossed = platen_below_C muss unter platen_above_C liegen
 alarm-missing = es gibt keinen Alarm { $number }
 alarm-not-delivered = { $way }: Alarm { $number } wurde nicht angenommen, neuer Versuch folgt: { $why }
@@ -1790,7 +1790,7 @@ terminal-progress-fitting = { $runs ->
     [one] { $runs } Pressung wird angepasst
    *[other] { $runs } Pressungen werden angepasst
 }
-terminal-progress-guide = schreibt die Seiten
+terminal-progress-guide = Schreibt die Seiten
 terminal-progress-planning = { $runs ->
     [one] Planung nach { $runs } Pressung
    *[other] Planung nach { $runs } Pressungen
@@ -2080,8 +2080,8 @@ demo-no-message = keine Meldung
 demo-no-pressing = zu lange wurde keine Pressung aufgezeichnet; die Protokolle liegen neben dem Datenspeicher
 demo-no-sign-of-life = { $seconds } s lang kein Lebenszeichen von { $processes }
 demo-not-fitted = { $runs ->
-    [one] { $runs } Pressung wartete vergeblich auf ihre Anpassung
-   *[other] { $runs } Pressungen warteten vergeblich auf ihre Anpassung
+    [one] { $runs } Pressung wurde nicht rechtzeitig angepasst
+   *[other] { $runs } Pressungen wurden nicht rechtzeitig angepasst
 }
 demo-not-found = { $runs ->
     [one] { $runs } Pressung wurde nicht gefunden
@@ -2148,7 +2148,7 @@ page-band-from-timing = den Zeitpunkten der Presse
 page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
 page-core-behind = Der Softsensor hat die letzten { $time } der Messwerte nicht ausgewertet: die Kurve des Kerns endet davor.
 page-core-foreseen = Kern, Vorhersage bei geschlossener Presse
-page-cure = Aushärtung, schwächere Seite
+page-cure = Aushärtung, weniger gehärtete Seite
 page-energy = Aufgenommene Wärme
 page-faces-and-platens = Plattenflächen und Heizplatten
 page-grade-glossy = glänzend
@@ -2305,7 +2305,7 @@ page-state-open = offen
 page-to = Bis
 page-what-if = Was wäre, wenn
 page-what-if-as-it-was = Wie es war
-page-what-if-ask = Berechnen
+page-what-if-ask = Simulieren
 page-what-if-asked = Mit diesen Einstellungen
 page-what-if-hint = Dieselbe Platte zwischen Heizplatten, die der Presse folgen wie zuvor, in einem Band aus allem, was nicht bekannt ist.
 page-what-if-moisture_percent = Feuchte [%]
@@ -2383,7 +2383,7 @@ page-c-h_wa = Platte – Luft
 page-ci-high = oben
 page-ci-low = unten
 page-coefficients-hint = Wärmeübergangskoeffizienten, nach jeder Pressung neu angepasst, mit 95-%-Intervallen. Graue Punkte: aus dieser Pressung nicht bestimmbar.
-page-coefficients-sisters = Wo eigene Pressungen es noch nicht besser sagen, sind die Koeffizienten dieser Presse { $why }.
+page-coefficients-sisters = Bis eigene Pressungen sie besser bestimmen, sind die Koeffizienten dieser Presse { $why }.
 page-drift = Drift
 page-drift-creep = kriecht um { $change } seit { $run }
 page-drift-hint = Eine Regelkarte fragt nach jeder Pressung, ob die Werte eines Koeffizienten noch so unter den früheren liegen, als hätte sich nichts geändert.
@@ -2407,7 +2407,7 @@ page-curves-residual = { $place }: gemessen minus Modell
 page-earlier = Frühere Diagnosen
 page-effects = Effekte
 page-evidence = Belege: Gewinn auf einer typischen ungesehenen Pressung, je Ursache
-page-evidence-other = Der längste Balken, { $cause }, ist nicht die Ursache oben: ein Balken zeigt, was eine Ursache allein spart; gewählt wird danach, wie sicher die Pressungen eine Ursache vorziehen.
+page-evidence-other = Der längste Balken, { $cause }, ist nicht die genannte Ursache: ein Balken zeigt, was eine Ursache allein spart; gewählt wird danach, wie einheitlich die Pressungen eine Ursache vorziehen.
 page-explains = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben
 page-gain-left-out = weniger Fehler in ausgelassenen Pressungen, eigene Kontakte angepasst
 page-gain-predicted = weniger Fehler in vorhergesagten Pressungen

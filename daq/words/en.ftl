@@ -164,7 +164,7 @@ profile-unknown = no such profile; known are { $known }, or give the path of a .
 profile-unknown-meant = no such profile; did you mean { $meant }? Or give the path of a .toml
 profile-with-scaling = { $profile } with scaling { $scaling }
 registers-float = float
-registers-full-scale = { $full } = { NUMBER($celsius) } C
+registers-full-scale = { $full } = { NUMBER($celsius) } °C
 registers-hundredths = hundredths
 registers-low-word-first = { $meaning }, low word first
 registers-tenths = tenths
@@ -220,7 +220,7 @@ foreign-encoding-wrong = not { $encoding } text at byte { NUMBER($byte) }; set f
 foreign-header-empty = header_from.{ $key }: column '{ $column }' holds no value; give the key in [header]
 foreign-no-number = { $cell } is not a number with decimal '{ $decimal }'; set file.decimal, or list it in file.missing
 foreign-no-rows = no rows follow line { NUMBER($line) }, which names the columns
-foreign-no-temperature = { $value } C is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } C; give the column's unit, or set its lower and upper
+foreign-no-temperature = { $value } °C is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } °C; give the column's unit, or set its lower and upper
 foreign-time-falls = { $cell } does not rise; sort the rows, or set time.repeated = "first"
 foreign-time-format = { $cell } is not '{ $format }'; set time.format
 foreign-too-short =
@@ -243,7 +243,7 @@ given-key-no-text = key { $key } is not a text; give names as texts
 given-mapping-without-file = { $found }: a mapping explains the file of another logger; give that file's path, or rename the columns of the table and leave the mapping out
 given-no-effect = { $found }: an effect is given as an Effect
 given-no-header = { $found }: a header is given as a mapping of dotted keys, such as {"{"}"panel.thickness_mm": 16.0{"}"}
-given-no-language = language { $language }: there are words in { $languages }
+given-no-language = language { $language } is not available; choose one of { $languages }
 given-no-limits = { $found }: limits are given as a mapping of numbers by name, such as {"{"}"core_least_C": 110.0{"}"}
 given-no-mapping = { $found }: a mapping is given as the path of its TOML file
 given-no-measurement = { $found }: measurements are given as a list of tuples: a Run, its Moments, and its true coefficients by name
@@ -288,7 +288,7 @@ press-boundary-needs-coefficient = kind = "air" needs coefficient, the name of i
 press-boundary-needs-column = kind = "measured" needs column, the run file column with its temperature
 press-boundary-no-flux-of-run = from_run belongs to kind = "flux", not to { $kind }: it takes the flux from the run's header
 press-coefficient-unused = { $name }: no contact or boundary uses it; used are { $used }
-press-contact-cannot-part = { $boundary } is of kind '{ $kind }', from which no layer parts; give one name
+press-contact-cannot-part = a layer cannot separate from { $boundary }, which is of kind '{ $kind }'; give one name
 press-contact-no-neighbours = not neighbours, listed from bottom to top; possible are { $possible }
 press-contact-twice = given twice
 press-depth-outside = outside layer '{ $layer }', which is { NUMBER($thickness_mm) } mm thick
@@ -308,7 +308,7 @@ press-wire-as-temperature = would be read as a temperature, by '{ $pattern }'; r
 press-wire-twice = is the limit switch already; name another column
 printed-model = Model { $version } of press { $press }
 printed-more = ... and { $count } more
-printed-nothing-missing = nothing is missing: { NUMBER($percent, maximumFractionDigits: 0) } %, by { $runs } { $runs ->
+printed-nothing-missing = probability that the model lacks nothing: { NUMBER($percent, maximumFractionDigits: 0) } %, from { $runs } { $runs ->
     [one] run
    *[other] runs
 }
@@ -346,7 +346,7 @@ run-no-header-row = the header row is missing; it starts with time_s, ...
 run-no-number = { $cell } is not a number; leave a missing value empty
 run-no-parquet = not a readable Parquet file ({ $reason }); it is cut short or damaged
 run-no-rows = no rows follow the header row; a run needs at least one scan
-run-no-temperature = { $value } is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } C; leave a missing value empty
+run-no-temperature = { $value } is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } °C; leave a missing value empty
 run-no-time = column time_s is missing; found { $found }
 run-not-utf8 = not UTF-8 text; save the file as UTF-8
 run-number-as-text = { $cell } is a number kept as text; convert the column to floats
@@ -738,7 +738,7 @@ load-zero-while-closed = { $run }: load column '{ $column }' = { $value } at tim
 model-file-covariance = { $file }: covariance of { $row } and { $column } = { $value }: no covariance matrix has that there; leave the key covariance out, or fit again
 model-file-covariance-of = { $file }: covariance.names has { $name }, which the file gives no value of; it gives { $known }
 model-file-covariance-shape = { $file }: covariance.matrix is { $shape }, and covariance.names has { $names }; it must have a row and a column for each name
-model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } = { $value } ({ $effect }) lies outside its limits { NUMBER($lower, maximumFractionDigits: 9) } to { NUMBER($upper, maximumFractionDigits: 6) } { $unit } ({ $source })
+model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } = { $value } ({ $effect }) lies outside its limits { NUMBER($lower, maximumFractionDigits: 9) } to { NUMBER($upper, maximumFractionDigits: 6) } { $unit }
 model-file-effect-twice = { $file }: effects.{ $number }: { $effect } stands in effects twice; keep one
 model-file-effect-unnamed = { $file }: effects.{ $number } has no name
 model-file-effect-without-size = { $file }: effects.{ $number }: { $effect } has no size; give under parameters { $known }
@@ -775,8 +775,8 @@ start-layer-without-reading = { $run }: [initial] kind = "sensors" needs a readi
 start-no-readings = { $run }: [initial] kind = "sensors" needs a reading; all panel columns are empty
 start-not-steady = { $run }: { $why }; give [initial] kind = "uniform" with temperature_C, or "sensors", or correct the boundaries and contacts
 start-not-steady-steep = its steady temperatures cannot be found: properties or radiation change too steeply with temperature
-start-not-steady-untied = layer '{ $layer }' is tied to no temperature, so it has no steady one
-start-not-steady-untied-without-panel = layer '{ $layer }' is tied to no temperature while no panel is in, so it has no steady one
+start-not-steady-untied = layer '{ $layer }' exchanges heat with nothing of a given temperature, so it has no steady temperature
+start-not-steady-untied-without-panel = layer '{ $layer }' exchanges heat with nothing of a given temperature while no panel is in, so it has no steady temperature
 value-at-least = { $name } = { $value }: must be a finite number, at least { NUMBER($least, maximumFractionDigits: 6) }
 value-at-most = { $name } = { $value }: must be a finite number, at most { NUMBER($most, maximumFractionDigits: 6) }
 value-between = { $name } = { $value }: must be a finite number, at least { NUMBER($least, maximumFractionDigits: 6) }, at most { NUMBER($most, maximumFractionDigits: 6) }
@@ -816,9 +816,9 @@ fit-gap-at-moment =
         [closed_s] the closing
        *[opened_s] the opening
     } falls: its moment is estimated within the gap, which makes the coefficients less certain
-fit-misfit-astray = residual while nothing moves { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after the fit, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K before it
+fit-misfit-astray = residual at rest { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after the fit, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K before it
 fit-misfit-lost-insertion = insertion and closing fall into one gap of its rows, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } to { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
-fit-misfit-span = residual while nothing moves { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, where the readings span { NUMBER($span, maximumFractionDigits: 0) } K
+fit-misfit-span = residual at rest { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, where the readings span { NUMBER($span, maximumFractionDigits: 0) } K
 fit-no-run = no run given; name at least one run file
 fit-no-such-method = method '{ $method }': must be one of { $methods }
 fit-no-such-shared = shared coefficient '{ $name }': must be one of { $names }
@@ -860,7 +860,7 @@ fit-role-joined = It couples { $below } and { $above }.
 fit-role-open = It couples { $below } and { $above } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
 fit-role-open-face = It acts at the face of { $layer } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
 fit-shared = one value in all runs, known from all of them together
-fit-shared-unknown = one value in all runs, and not known even from all of them together
+fit-shared-unknown = one value in all runs, not determined even by all of them together
 fit-shortfall-all =
     { $more ->
         [0] The model describes none of these runs: { $runs }. They determine no coefficient; the model keeps the initial values of the press file.
@@ -939,7 +939,7 @@ diagnosis-verdict-unknown_effect = unknown effect
 gain-hardly = With { $causes ->
         [one] it
        *[other] them
-    } the residual hardly changes: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } and { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
+    } the residual hardly changes: from { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } to { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 gain-more-is-missing = Noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, so more is missing that these runs cannot name.
 gain-residual-falls = With { $causes ->
         [one] it
@@ -1027,7 +1027,7 @@ law-axis-depth_share = height in the panel, as a share of its thickness
 law-axis-load_share = pressure, as a share of its reference
 law-axis-temperature_C = temperature [°C]
 law-axis-time_since_closing_s = time since closing [s]
-law-changes = Over what the runs visited it { $change ->
+law-changes = Over the range that the runs cover it { $change ->
         [falls] falls
        *[rises] rises
     } by { NUMBER($percent, maximumFractionDigits: 0) } % between { NUMBER($begin, maximumSignificantDigits: 3) } and { NUMBER($end, maximumSignificantDigits: 3) }.
@@ -1046,7 +1046,7 @@ law-kind-heat = heat consumed as the panel warms up, not returned on cooling
 law-kind-heat_exchange = heat lost to the room per volume
 law-none = No free law: none is sure to improve runs left out.
 law-not-told-from = These runs cannot distinguish it from: { $others }.
-law-resembles = Within its band it is the curve of a known cause: { $cause }.
+law-resembles = Within its band it agrees with the curve of a known cause: { $cause }.
 law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-variable-depth_share = height in the panel (0 below, 1 above)
 law-variable-load_share = pressure as a share of its reference
@@ -1077,7 +1077,7 @@ rehearsal-wrong = another cause named
 ## softsensor.planning: the next pressings
 
 advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. The live sensor decides when to open.
-advise-best = Press for { NUMBER($seconds, maximumFractionDigits: 0) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with { NUMBER($percent, maximumFractionDigits: 1) } %
+advise-best = Press for { NUMBER($seconds, maximumFractionDigits: 0) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with a probability of { NUMBER($percent, maximumFractionDigits: 1) } %
 advise-cure-without-resin = a limit of cure needs the resin's kinetics; give a resin file too
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh a panel, { NUMBER($panels, maximumFractionDigits: 0) } panels an hour
 advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } cents a panel
@@ -1088,13 +1088,13 @@ advise-limit-cure_bottom = lower face undercured
 advise-limit-cure_top = upper face undercured
 advise-limit-steam_most = too much steam
 advise-load-unit = press { $press }: the model follows the load in column { $column }, whose unit is not given: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
-advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits are known to hold with the wanted probability.
+advise-margin = The median panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits hold with the wanted probability.
 advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
 advise-no-limit = no limit is given; give a resin file with [limits], or the least or the most that the core is to reach
-advise-none = No program within the ranges keeps all limits. Nearest: platens { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-none = No program within the ranges keeps all limits. Closest: platens { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } with a probability of { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Panel: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': must be KEY=VALUE, such as panel.thickness_mm=16
-advise-press-time-narrow = range of press_time_s from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: press times are looked at { NUMBER($step) } s apart, and none lies in between; widen it
+advise-press-time-narrow = range of press_time_s from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: press times are tried in steps of { NUMBER($step) } s, and none lies in the range; widen it
 advise-press-without-states = { $press }: nothing in the press file opens and closes, so there is no press time
 advise-pressure = Pressure: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
 advise-pressure-unknown = range of { $name }: the model does not know what pressure does, as nothing in it follows a load; leave it out, or diagnose runs of different pressures first
@@ -1116,7 +1116,7 @@ plan-open-core = The core at the opening is known to ±{ NUMBER($kelvin, maximum
 plan-open-suspected = Suspected, not proven: { $causes }
 plan-range-unknown = range of { $name }: no such setting here; known are { $known }
 plan-range-unreadable = --range '{ $given }': must be NAME=LOW:HIGH, such as thickness_mm=8:19
-plan-range-wrong = range of { $name } from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
+plan-range-wrong = range of { $name } from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: give the lower end first; both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
 plan-repeated = Repeating the usual settings: { $prospect }
 plan-runs = { $runs ->
     [one] { $runs } is enough
@@ -1135,13 +1135,13 @@ plan-setting-wrong = { $name } = { $value } must lie between { $lower } and { $u
 plan-settles = One settles it with a chance of { NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-settles-surely = One settles it almost certainly: the chance is above 99 %.
 plan-with-core = With a thermocouple in the core: { $settings }. { $prospect }
-what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) } s is not worked out; ask for a shorter press time
+what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) } s is not simulated; give a shorter press time
 
 ## softsensor.live: why the core is not valid
 
-blisters-bear = Half of the panels bear { NUMBER($most, maximumFractionDigits: 0) } kPa of steam (95 %: { NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) }).
-blisters-foreseen = Later panels, each judged by those marked before it: what became of them had been given a chance of { NUMBER($learned, maximumFractionDigits: 0) } %, by the stated limit of { NUMBER($stated, maximumFractionDigits: 0) } %.
-blisters-keep = Beside it, so that these marks are not counted again when more are learned from: steam_believed_kPa = { NUMBER($believed, maximumFractionDigits: 2) }, steam_believed_kPa.sd = { NUMBER($sd, maximumFractionDigits: 2) }
+blisters-bear = Half of the panels withstand { NUMBER($most, maximumFractionDigits: 0) } kPa of steam (95 %: { NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) }).
+blisters-foreseen = Later panels, each forecast from those marked before it: what became of them had a mean probability of { NUMBER($learned, maximumFractionDigits: 0) } %, by the stated limit { NUMBER($stated, maximumFractionDigits: 0) } %.
+blisters-keep = Store these two as well, so that the same panels are not counted twice: steam_believed_kPa = { NUMBER($believed, maximumFractionDigits: 2) }, steam_believed_kPa.sd = { NUMBER($sd, maximumFractionDigits: 2) }
 blisters-marks = { $marks ->
         [one] One marked panel
        *[other] { $marks } marked panels
@@ -1150,11 +1150,11 @@ blisters-write = For [limits] of the resin file: steam_most_kPa = { NUMBER($most
 core-may-pass-limit-soon = the core may pass { NUMBER($limit_C, maximumFractionDigits: 1) } °C in { NUMBER($seconds, maximumFractionDigits: 0) } s: open the press
 core-will-pass-limit = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 core-will-pass-limit-even-if-opened = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C even if the press is opened now, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
-reason-another-panel = no earlier run of this press had a panel of { NUMBER($header_mm, maximumFractionDigits: 1) } mm, the nearest had { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm: either may lie there, and the band over both is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K; check the thickness in the header
+reason-another-panel = panel thickness in doubt: { NUMBER($header_mm, maximumFractionDigits: 1) } mm in the header, { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm in the nearest earlier run of this press; the band over both is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K; check the thickness in the header
 reason-band-too-wide = core not observable: the band is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = the calculation failed and is being restarted
 reason-clock-ahead = the readings are stamped { NUMBER($ahead_s, maximumFractionDigits: 0) } s ahead of this computer's clock: set the clocks
-reason-constants-far-from-the-material = the panel's constants are not known to within half: the header's are far from those of its material, or the last runs had them far from the header's; correct them, or state how sure they are (KEY.sd)
+reason-constants-far-from-the-material = the panel's constants are known to no better than 50 %: the header's are far from those of its material, or the last runs had them far from the header's; correct them, or state how sure they are (KEY.sd)
 reason-core-impossible = the calculated core is at { NUMBER($core_C, maximumFractionDigits: 0) } °C, which is impossible: nothing colder than { NUMBER($lowest_C, maximumFractionDigits: 0) } °C or hotter than { NUMBER($highest_C, maximumFractionDigits: 0) } °C has touched the panel
 reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
 reason-faces-too-cold-for-this-panel = the faces are far colder than those of the panel that was pressed; another panel may lie there
@@ -1175,8 +1175,8 @@ reason-readings-contradict-the-model = the panel's sensors contradict the model
 reason-run-begins-in-the-closed-press = the run begins in the closed press
 reason-run-begins-with-the-panel-on-the-hot-plate = the run begins with the panel on the hot plate
 reason-run-refused = the run cannot be followed: { $problem }
-reason-start-temperature-contradicted = sensors read { NUMBER($measured_C, maximumFractionDigits: 0) } °C, but the header has the panel start at { NUMBER($header_C, maximumFractionDigits: 0) } °C
-reason-start-temperature-too-high = the header has the panel start at { NUMBER($header_C, maximumFractionDigits: 0) } °C; no fresh panel is so hot
+reason-start-temperature-contradicted = sensors read { NUMBER($measured_C, maximumFractionDigits: 0) } °C, but the header gives a start temperature of { NUMBER($header_C, maximumFractionDigits: 0) } °C
+reason-start-temperature-too-high = the header gives a start temperature of { NUMBER($header_C, maximumFractionDigits: 0) } °C; no fresh panel is so hot
 reason-store-away = the store does not answer
 resin-is-example = the resin "{ $name }" is an example; measure the paper at hand and put its own kinetics into the resin file
 resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
@@ -1211,7 +1211,7 @@ night-compared =
         [without] no longer: { $without }
        *[both] { $effects }; no longer: { $without }
     }: residual of single sensors{ $still ->
-        [yes] { " while nothing moves" }
+        [yes] { " at rest" }
        *[no] { "" }
     }, own contacts fitted, from { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } to { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
         [yes] { $runs } runs that took no part
@@ -1229,7 +1229,7 @@ night-fits =
         [0] { "" }
         [one] 1 keeps its fit,{ " " }
        *[other] { $kept } keep their fits,{ " " }
-    }{ $failed } could not be{ $blind ->
+    }{ $failed } could not be fitted{ $blind ->
         [0] { "" }
         [one] , { $blind } has no panel sensors
        *[other] , { $blind } have no panel sensors
@@ -1260,7 +1260,7 @@ night-outcome =
 night-rejected = { $version } rejected: { $reason }
 night-too-few-runs = { $runs } runs fitted, { $needed } are needed
 night-too-few-to-judge = too few runs to judge by
-night-without-sisters = { $press }: it begins without what presses of its kind know: { $why }
+night-without-sisters = { $press }: it begins without what presses of the same kind have learned: { $why }
 night-workers-killed = { $press }: the workers that worked on its night were killed; the nightly job works on it itself, run by run
 night-workers-lost = the workers were lost: { $why }; the nightly job works on the presses that are left itself
 press-problem = { $press }: { $problem }
@@ -1311,7 +1311,7 @@ figure-measured-mean = measured, mean of { $channels } sensors ± their scatter
 figure-measured-minus-model = measured − model [K]
 figure-misfit-saved = misfit reduction [σ²]
 figure-model = { $model } model
-figure-moves-with = { $run }: { $one } moves most with { $other } (correlation { $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
+figure-moves-with = { $run }: { $one } is most strongly correlated with { $other } ({ $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
 figure-normalised = Relative to the mean: { $name } differs most from run to run ({ NUMBER($percent, maximumFractionDigits: 0) } %)
 figure-not-described = { $run }: the model does not describe this run, it is { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K rms off ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K with the press file's guesses)
 figure-nothing-known = No coefficient is known: the model does not describe what was measured
@@ -1448,8 +1448,8 @@ report-from-on = { $begin } s to the end
 report-from-to = { $begin } s – { $end } s
 report-gain = What is gained
 report-how = How this was found
-report-how-averages = The values of single runs come from the paper's procedure, { $method } on averages of the upper and lower sensors; moments, verdicts and the joint estimates from our own:
-report-how-channels = The values of single runs come from the paper's procedure, { $method } on every sensor with its own offset; moments, verdicts and the joint estimates from our own:
+report-how-averages = The values of single runs come from the paper's procedure, { $method } on averages of the upper and lower sensors; moments, verdicts and the joint estimates from Kerntemp's own method:
+report-how-channels = The values of single runs come from the paper's procedure, { $method } on every sensor with its own offset; moments, verdicts and the joint estimates from Kerntemp's own method:
 report-how-fitted = Levenberg–Marquardt in the logarithm of the coefficients. Closing, opening and the closing ramp, the start temperature, platen and sensor errors are adjusted within what a measuring chain may be wrong by, and widen the intervals. Residuals are treated as correlated in time, their level estimated from each run. Whether a coefficient is identifiable is read from the profile of the likelihood of that run.
 report-how-model = Layered heat conduction with a contact coefficient between neighbours for each press state, solved implicitly with exact sensitivities.
 report-hundredths = { NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
@@ -1462,7 +1462,7 @@ report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($p
 report-legend-coefficients = Dots: single runs with 95 % intervals. Line and band: mean and σ. Cross: a run in which the coefficient is not identifiable, drawn at the mean.
 report-legend-core = Core: the middle of the panel by the fitted model. Its band is what coefficients, moments, measuring chain and the panel's constants leave open (95 %), as far as the model itself holds. Core thermocouples take no part in the fit.
 report-legend-every-run = W/m²K, ± half the 95 % interval. Italics: not identifiable in that run; the interval that the data leave open. Not described: the model does not fit the run, so nothing is read from it.
-report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they leave the picture, and the largest is written in.
+report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they are off the scale, and the largest is noted.
 report-legend-normalised = Dots: single runs over the mean, in their order. Bars: ± σ.
 report-legend-profile = A profile shows how much worse the model fits the run the further a coefficient is moved while all other unknowns follow; where it stays below the line the value fits as well (95 %). A profile that does not cross the line on a side is open there.
 report-legend-run = Dots: mean of the readings; tinted about them: from the lowest to the highest sensor. Grey: the plain model with this run's own coefficients. Orange: with the cause added. Dashed: core, of the panel as its header gives it. Shaded: press closed; below, where the plain model is most kelvins off, and what was measured there.
@@ -1554,21 +1554,21 @@ report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what
 ## api: when to open
 
 advice-blocked = { $limit ->
-        [core_least] the core will not be hot enough within the look ahead
+        [core_least] the core will not be hot enough within the forecast
         [core_most] the core is too hot
-        [cure_bottom] the lower face will not be cured within the look ahead
-        [cure_top] the upper face will not be cured within the look ahead
+        [cure_bottom] the lower face will not be cured within the forecast
+        [cure_top] the upper face will not be cured within the forecast
         [steam_most] too much steam, or its pressure is not known
        *[sudden_change] something has changed in the press: the cure of the faces so far is not known
     }
 advice-estimate-old = as of { SPAN($seconds) } ago
 advice-no-limit = the resin file has no limit
-advice-no-look-ahead = the live sensor has not looked ahead yet
+advice-no-look-ahead = the live sensor has no forecast yet
 advice-no-panel = no panel in the press
 advice-no-target = no core target set
 advice-not-closed = press not closed yet
 advice-not-known = not known, because { $why }
-advice-old = the last look ahead is { SPAN($seconds) } old
+advice-old = the last forecast is { SPAN($seconds) } old
 advice-open-in = open in { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-open-in-at-least = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } or later)
 advice-open-in-between = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) })
@@ -1585,10 +1585,10 @@ alarm-body =
 alarm-core-above = { $press }: the core is above { NUMBER($limit, maximumFractionDigits: 1) } °C
 alarm-drift = { $press }: { $coefficient } is at { NUMBER($percent, maximumFractionDigits: 0) } % of what it was since { $since }
 alarm-file = { $path }: cannot be read: { $why }
-alarm-language = email.language = { $language }: there are words for { $known }
+alarm-language = email.language = { $language } is not available; choose one of { $known }
 alarm-limits-crossed = platen_below_C must lie below platen_above_C
 alarm-missing = there is no alarm { $number }
-alarm-not-delivered = { $way }: alarm { $number } was not taken, trying again: { $why }
+alarm-not-delivered = { $way }: alarm { $number } was not accepted, trying again: { $why }
 alarm-platen-above = { $press }: { $channel } is above { NUMBER($limit, maximumFractionDigits: 1) } °C
 alarm-platen-below = { $press }: { $channel } is below { NUMBER($limit, maximumFractionDigits: 1) } °C
 alarm-silence = { $press }: no scan for more than { SPAN($limit) }
@@ -1618,7 +1618,7 @@ api-model-unknown = model { $version } does not exist; /api/v1/models lists them
 api-next-panel = next panels of { $press }: { $recipe } { $fields }
 api-no-curves = diagnosis { $number } has no curves: it does not exist, or was made by a version before 2026-11-23
 api-no-night = there is no night { $number }
-api-no-such-language = there are no words in { $language }; there are { $languages }
+api-no-such-language = language { $language } is not available; choose one of { $languages }
 api-nul-character = path and query: a NUL character belongs nowhere; leave it out
 api-only-loopback-names = without a token only a loopback host name is answered here
 api-press-unknown = there is no press '{ $press }'; there are: { $known }
@@ -1660,7 +1660,7 @@ health-process-never-seen = { $process }: never seen; start kerntemp { $command 
 health-process-silent = { $process }: silent for { SPAN($seconds) }; start kerntemp { $command }
 health-process-silent-for-hours = { $process }: silent for { NUMBER($hours, maximumFractionDigits: 0) } h; start kerntemp { $command }
 health-scans-behind = { $press }: { $scans } scans behind, this machine is too busy
-what-if-busy = another what-if is being worked out; try again in some seconds
+what-if-busy = another what-if is being simulated; try again in some seconds
 what-if-no-model = { $run }: there is neither a fit of this run nor a model in force
 
 ## api.commands: the command line
@@ -1723,7 +1723,7 @@ terminal-imported = { $runs ->
    *[other] { $runs } runs stored
 }
 terminal-interrupted = interrupted
-terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: there are words in { $languages }
+terminal-language-unknown = KERNTEMP_LANGUAGE = { $language } is not available; choose one of { $languages }
 terminal-list-alone = --press, --material, --from and --to choose what is listed; runs to be exported are named
 terminal-list-created = created
 terminal-list-material = material
@@ -1780,7 +1780,7 @@ terminal-progress-fitting = { $runs ->
     [one] Fitting { $runs } run
    *[other] Fitting { $runs } runs
 }
-terminal-progress-guide = writing the pages
+terminal-progress-guide = Writing the pages
 terminal-progress-planning = { $runs ->
     [one] Planning after { $runs } run
    *[other] Planning after { $runs } runs
@@ -1856,7 +1856,7 @@ help-certificate = TLS certificate chain, PEM.
 help-coefficients = Coefficients, a flat {"{"}NAME: value{"}"}.
 help-command-advise = Work out press time and platen temperature for a panel not pressed yet, so that all limits hold with a wanted probability.
 help-command-backup = Copy the store while others write to it. The copy is checked before it gets its name.
-help-command-blisters = Learn from panels marked good or blistered how much steam they bear, for the limit in the resin file.
+help-command-blisters = Learn from panels marked good or blistered how much steam they withstand, for the limit in the resin file.
 help-command-calibrate = Check all channels at room temperature (--room), or find swapped ones (--warm). Stop kerntemp record first.
 help-command-check = Check the configuration and the store, and read every logger once.
 help-command-demo = Run everything on a virtual press: logging, live prediction, refits and the page.
@@ -1988,7 +1988,7 @@ help-workers = Processes on this machine; see [refit] workers.
 plant-address-taken = cannot listen on { $host }:{ $port }: { $why }; set opcua.port
 plant-broker-not-connected = MQTT broker { $where } did not accept the connection: { $why }; trying again
 plant-broker-not-subscribed = MQTT broker { $where } did not send back what it keeps: { $why }; trying again
-plant-broker-not-taking = MQTT broker { $where } did not take a message: { $why }; trying again
+plant-broker-not-taking = MQTT broker { $where } did not accept a message: { $why }; trying again
 plant-broker-refused = refused: { $reason }
 plant-broker-silent = no answer
 plant-broker-unreachable = MQTT broker { $where }: { $why }; check that it runs and is reachable
@@ -2067,8 +2067,8 @@ demo-no-message = no message
 demo-no-pressing = no run was recorded for too long; the logs are beside the store
 demo-no-sign-of-life = no sign of life from { $processes } in { $seconds } s
 demo-not-fitted = { $runs ->
-    [one] { $runs } run waited in vain for its fit
-   *[other] { $runs } runs waited in vain for their fit
+    [one] { $runs } run was not fitted in time
+   *[other] { $runs } runs were not fitted in time
 }
 demo-not-found = { $runs ->
     [one] { $runs } pressing was not found
@@ -2133,9 +2133,9 @@ page-band-from-start = start and platen temperatures
 page-band-from-suspected = suspected causes
 page-band-from-timing = moments of the press
 page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
-page-core-behind = The live sensor has not worked out the last { $time } of the readings: the core's curve ends before them.
+page-core-behind = The live sensor has not processed the last { $time } of the readings: the core's curve ends before them.
 page-core-foreseen = Core, forecast if the press stays closed
-page-cure = Cure, weaker face
+page-cure = Cure, less cured face
 page-energy = Heat taken up
 page-faces-and-platens = Faces and platens
 page-grade-glossy = glossy
@@ -2210,7 +2210,7 @@ page-all = all
 page-all-channels = all other channels
 page-and-more = and { $count } more
 page-band-at-opening = Band at opening
-page-blisters = Steam that panels of { $press } bear
+page-blisters = Steam that panels of { $press } withstand
 page-blisters-chance = Chance of a blister
 page-blisters-marked = Marked panels
 page-blisters-none = No panel is marked good or blistered yet.
@@ -2292,7 +2292,7 @@ page-state-open = open
 page-to = To
 page-what-if = What if
 page-what-if-as-it-was = As it was
-page-what-if-ask = Work it out
+page-what-if-ask = Simulate
 page-what-if-asked = With these settings
 page-what-if-hint = The same panel between platens that follow the press as they did, in a band of all that is not known of it.
 page-what-if-moisture_percent = Moisture [%]
@@ -2370,7 +2370,7 @@ page-c-h_wa = panel – air
 page-ci-high = high
 page-ci-low = low
 page-coefficients-hint = Heat transfer coefficients refitted after each pressing, with 95 % intervals. Grey dots: not identifiable from that run.
-page-coefficients-sisters = Where runs of its own do not show it better yet, the coefficients of this press are { $why }.
+page-coefficients-sisters = Until runs of its own determine them better, the coefficients of this press are { $why }.
 page-drift = Drift
 page-drift-creep = creeping by { $change } since { $run }
 page-drift-hint = A control chart asks after each run whether a coefficient's values still lie among the earlier ones as if nothing had changed.
@@ -2394,7 +2394,7 @@ page-curves-residual = { $place }: measured minus model
 page-earlier = Earlier diagnoses
 page-effects = Effects
 page-evidence = Evidence: gain on a typical unseen run, by cause
-page-evidence-other = The longest bar, { $cause }, is not the cause above: a bar is what a cause alone saves, and the choice rests on how surely the runs prefer a cause.
+page-evidence-other = The longest bar, { $cause }, is not the cause named: a bar shows what a cause saves by itself, and the choice depends on how consistently the runs prefer a cause.
 page-explains = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common
 page-gain-left-out = less error in runs left out, their own contacts fitted
 page-gain-predicted = less error in predicted runs

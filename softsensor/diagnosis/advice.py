@@ -45,7 +45,7 @@ def next_measurement(
     """Return one sentence: the measurement that would help most."""
     core_K, extended_K = seen.core_K or 0.0, seen.extended_core_K or 0.0
     if verdict is Verdict.TOO_FEW_RUNS:
-        more = max(FEW_RUNS + 1 - seen.runs, 1)
+        more = max(FEW_RUNS - seen.runs, 1)
         panels = say("next-more-runs", more=more, least=FEW_RUNS)
         return seen.words(panels, say("next-more-runs-rig", more=more, least=FEW_RUNS))
     if verdict is Verdict.NOT_DESCRIBED:

@@ -245,12 +245,8 @@ def _check_parameters(
         _check_numbers(found, source, f"effects.{number}.parameters.{name}")
         value = number_of(found.value)
         if not (p.lower <= value <= p.upper and math.isfinite(value)):
-            limits: dict[str, Any] = {
-                "lower": p.lower,
-                "upper": p.upper,
-                "unit": p.unit.strip("-"),
-                "source": p.source,
-            }
+            unit = p.told_unit if p.factor == 1.0 else ""  # the file has the number without the factor
+            limits: dict[str, Any] = {"lower": p.lower, "upper": p.upper, "unit": unit}
             said = say("model-file-effect-outside", **place, name=name, value=in_short(found.value), **limits)
             raise InputError(said)
 

@@ -59,14 +59,14 @@ def test_what_is_not_foreseen_is_not_advised(said, verdict):
 
 def test_an_old_look_ahead_is_no_advice_and_says_how_old_it_is():
     said = advice_of(estimate(**ahead(forecast_age_s=22.0)), 40.0)
-    assert said.sentence == "not known, because the last look ahead is 22 s old"
+    assert said.sentence == "not known, because the last forecast is 22 s old"
 
 
 def test_times_count_from_now_and_a_look_ahead_ages_with_its_estimate():
     said = advice_of(estimate(**ahead(), age_s=4.0), 40.0)
     assert (said.open_in_s, said.open_earliest_s, said.open_latest_s, said.age_s) == (7.0, 4.0, 11.0, 5.0)
     said = advice_of(estimate(**ahead(), age_s=4.5), 40.0)
-    assert said.sentence == "not known, because the last look ahead is 6 s old"
+    assert said.sentence == "not known, because the last forecast is 6 s old"
 
 
 @pytest.mark.parametrize("age_s", [5.1, -5.1, None])
@@ -101,7 +101,7 @@ CURED = {"cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s"
     [
         ({"limits_in_s": 11.0}, "open_in", "open in 11 s"),
         ({"limits_in_s": 0.0, "open_now": True}, "open_now", "OPEN NOW"),
-        ({"limits_blocking": "cure_top"}, "blocked", "the upper face will not be cured within the look ahead"),
+        ({"limits_blocking": "cure_top"}, "blocked", "the upper face will not be cured within the forecast"),
         ({"limits_blocking": "steam_most"}, "blocked", "too much steam, or its pressure is not known"),
         ({}, "not_known", "not known, because the resin file has no limit"),
         ({"limits_in_s": 11.0, "forecast_age_s": 22.0}, "not_known", None),

@@ -200,7 +200,7 @@ def test_a_mail_in_german_where_the_plant_reads_german(store, mail):
     store.watch_alarms([HOT], [MAIL], NOW)
     send_due(store, ways, lambda: NOW)
     assert "der Kern ist über 110 °C" in inbox.mails[0].get_payload(decode=True).decode()
-    with pytest.raises(InputError, match="there are words for en, de"):
+    with pytest.raises(InputError, match="is not available; choose one of en, de"):
         ways_of(settings.model_copy(update={"language": "fr"}), None, "store")
 
 

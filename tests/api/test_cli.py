@@ -1,5 +1,7 @@
 import json
 import os
+import re
+import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -415,7 +417,21 @@ def test_the_language_of_the_terminal_is_chosen_by_its_name(capsys, monkeypatch)
     assert capsys.readouterr().err == "kerntemp: probe: entweder --port oder --host angeben\n"
     monkeypatch.setenv("KERNTEMP_LANGUAGE", "tlh")
     assert main(["probe"]) == 2
-    assert capsys.readouterr().err == "kerntemp: KERNTEMP_LANGUAGE = tlh: there are words in en, de\n"
+    assert capsys.readouterr().err == "kerntemp: KERNTEMP_LANGUAGE = tlh is not available; choose one of en, de\n"
+
+
+@pytest.mark.parametrize(("language", "why"), [("en", "runs and is reachable"), ("de", "Datenbankserver läuft")])
+def test_a_server_that_does_not_answer_is_named_in_words_and_not_as_a_fault_of_the_program(
+    capsys, monkeypatch, language, why
+):
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", language)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # nobody listens there
+        url = f"postgresql://somebody:secret@127.0.0.1:{taken.getsockname()[1]}/x"
+        assert main(["export", "--store", url]) == 1
+    said = one_line(capsys)
+    assert why in said
+    assert not {"StoreUnavailable", "KERNTEMP_TRACEBACK", "secret"} & set(re.split(r"\W+", said))
 
 
 def test_a_command_says_which_files_it_wrote(files, first, tmp_path, capsys):

@@ -142,7 +142,7 @@ def test_a_machine_that_does_not_keep_up_is_told_so():
     unfitted = replace(sound, rmse_after_K=float("nan"))
     assert pace_lines([sound], 30.0, left_out=2, recorded=500, unseen=0) == []
     (told,) = pace_lines([sound, unfitted], 30.0, left_out=50, recorded=450, unseen=1)
-    for part in ("50 of 500 scans", "1 pressing was not found", "1 run waited in vain", "30 times"):
+    for part in ("50 of 500 scans", "1 pressing was not found", "1 run was not fitted in time", "30 times"):
         assert part in str(told)
 
 

@@ -46,7 +46,7 @@ def test_the_catalogue_of_words_is_handed_out_in_each_language_and_tagged(client
         again = client.get(f"/api/v1/messages/{language}", headers={"If-None-Match": answer.headers["etag"]})
         assert again.status_code == 304
     refused = problem(client.get("/api/v1/messages/tlh"), 404)
-    assert refused["detail"] == "there are no words in tlh; there are en, de"
+    assert refused["detail"] == "language tlh is not available; choose one of en, de"
 
 
 def test_runs_come_newest_first_in_pages_whose_cursor_leads_to_the_next(client):

@@ -288,7 +288,7 @@ def test_a_channel_among_the_loggers_is_green_only_while_it_is_read_and_used(pla
         (
             "en-GB",
             "Steam that carries heat or heat capacity that changes with temperature",
-            "The longest bar, evaporating moisture, is not the cause above",
+            "The longest bar, evaporating moisture, is not the cause named",
         ),
         (
             "de-DE",

@@ -284,7 +284,7 @@ def test_a_core_that_ends_before_the_readings_says_why(pressing, served):
     told = store.append_estimates
     store.append_estimates = lambda *_: None
     expect(page.get_by_test_id("behind")).to_have_text(
-        re.compile(r"The live sensor has not worked out the last \d+\Ws of the readings: the core's curve ends")
+        re.compile(r"The live sensor has not processed the last \d+\Ws of the readings: the core's curve ends")
     )
     store.append_estimates = told
     expect(page.get_by_test_id("behind")).to_be_hidden()

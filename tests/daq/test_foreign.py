@@ -340,7 +340,7 @@ def test_what_is_no_temperature_is_refused_by_line_unless_the_mapping_calls_it_m
     text = '[time]\ncolumn = "t"\n[[column]]\nfrom = "a"\nto = "top_1"\n[[column]]\nfrom = "p"\nto = "load_N"\n'
     file = tmp_path / "x.csv"
     file.write_text("t,a,p\n0,20,50000\n1,-9999,60000\n")
-    with pytest.raises(InputError, match=r"line 3: column a: -9999 C is no temperature; .* set its lower"):
+    with pytest.raises(InputError, match=r"line 3: column a: -9999 °C is no temperature; .* set its lower"):
         read_foreign(file, _mapping(tmp_path, text), ["top_*"])
     run = read_foreign(file, _mapping(tmp_path, text.replace('"top_1"', '"top_1"\nlower = -50')), ["top_*"])
     assert np.isnan(run.columns["top_1"][1])

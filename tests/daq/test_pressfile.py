@@ -79,7 +79,7 @@ def test_press_without_an_open_entry_has_one_state() -> None:
             PANEL
             + "[boundary.top]\nkind = 'air'\ncoefficient = 'h'\n"
             + "[[contact]]\nbetween = ['panel', 'boundary.top']\nopen = ['a', 'b']\nclosed = 'c'",
-            r"contact\.0\.open = \['a', 'b'\]: boundary\.top is of kind 'air', from which no layer parts",
+            r"contact\.0\.open = \['a', 'b'\]: a layer cannot separate from boundary\.top, which is of kind 'air'",
         ),
     ],
 )

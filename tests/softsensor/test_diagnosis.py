@@ -20,7 +20,15 @@ from daq.words import Message
 from daq.words.message import catalogue_of, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.curves import curves_of
-from softsensor.diagnosis.decision import ALPHA, ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
+from softsensor.diagnosis.decision import (
+    ALPHA,
+    ALPHA_PATTERN,
+    EXCESS,
+    FEW_RUNS,
+    NEGLIGIBLE_K,
+    Verdict,
+    refuted_by_cores,
+)
 from softsensor.diagnosis.directions import Direction
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import (
@@ -576,6 +584,12 @@ def test_panels_that_all_store_more_heat_than_given_are_not_taken_for_usual_ones
     usual = [run for run, _ in campaign(None, 41, 7)]
     plain = settle_base(ThermalModel(press()), _screened(press(), usual)[1])
     assert min(panels_as_usual(plain)) > ALPHA_PATTERN / 2
+
+
+def test_pressings_asked_for_are_as_many_as_a_cause_needs() -> None:
+    for runs in range(2, FEW_RUNS):
+        asked = next_measurement(Verdict.TOO_FEW_RUNS, (), AdviceBasis(runs, panel=True))
+        assert asked.arguments["more"] + runs == asked.arguments["least"]
 
 
 @pytest.mark.parametrize("name", [e.name for e in BUILT_IN])

@@ -388,7 +388,7 @@ def test_numbers_of_numpy_are_numbers_in_a_header_and_others_are_shown_in_short(
 
 def test_one_switch_chooses_the_language_of_results_figures_and_refusals_and_no_json(fitted):
     english = fitted.to_json()
-    with pytest.raises(daq.InputError, match="language tlh: there are words in en, de"):
+    with pytest.raises(daq.InputError, match="language tlh is not available; choose one of en, de"):
         daq.speak("tlh")
     daq.speak("de")
     try:

@@ -45,7 +45,7 @@ def found(measured):
 
 
 def remains(fit):
-    return f"residual while nothing moves {fit.rmse_still_K:.1f} K, where the readings span "
+    return f"residual at rest {fit.rmse_still_K:.1f} K, where the readings span "
 
 
 def test_run_whose_record_begins_too_late_is_called_not_described(found):

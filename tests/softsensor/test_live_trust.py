@@ -170,7 +170,7 @@ def test_a_lower_face_that_warms_already_is_no_contradiction():
     assert contradiction(1.0, 20.0) is None
     found = contradiction(start_error(np.array([60.0, 104.0]), 20.0), 20.0)
     assert found.line == "start temperature contradicted; measured_C=60; header_C=20"
-    assert str(found.message) == "sensors read 60 °C, but the header has the panel start at 20 °C"
+    assert str(found.message) == "sensors read 60 °C, but the header gives a start temperature of 20 °C"
 
 
 @pytest.mark.parametrize("face", ["top_", "bottom_", ("top_", "bottom_")])

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from daq.records import InputError
+from daq.words import spoken
+from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile, PressedPanel, Scatter, model_text
 from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.model_files import read_model
@@ -90,7 +92,7 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
         ),
         (
             {"effects": [{"name": "edge_loss", "parameters": {"W_m3K": {"value": 70000.0, "sd": 1.0}}}]},
-            r"parameters\.W_m3K = 70000 \(edge_loss\) lies outside its limits 0 to 20000 W/m³K \(10 W/m²K over",
+            r"parameters\.W_m3K = 70000 \(edge_loss\) lies outside its limits 0 to 20000 W/m³K$",
         ),
         ({"effects": {"name": "edge_loss"}}, "effects is not as fit, diagnose and the nightly job write it"),
         ({"effects": None}, "effects is not as fit, diagnose and the nightly job write it"),
@@ -127,6 +129,14 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
 def test_a_wrong_model_file_is_refused_with_its_key(change, message):
     with pytest.raises(InputError, match=message):
         parse_model(json.loads(model_text(MODEL)) | change, "model.json")
+
+
+def test_limits_of_an_effect_are_in_the_readers_language():
+    wrong = {"name": "moisture_evaporation", "parameters": {"moisture_percent": {"value": 70.0, "sd": 1.0}}}
+    with pytest.raises(InputError) as refused:
+        parse_model(json.loads(model_text(MODEL)) | {"effects": [wrong]}, "model.json")
+    said = words(spoken(refused.value), "de")
+    assert said.endswith("liegt außerhalb der Grenzen 0 bis 30 % der Trockenmasse")
 
 
 def test_a_file_that_is_no_model_is_refused(tmp_path):

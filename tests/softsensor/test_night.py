@@ -204,7 +204,9 @@ def test_a_pressing_without_panel_sensors_as_in_production_is_no_failure(store, 
         outcome = refit_press(store, "lab", PRESS, workers=1)
         nightly.sign_off(store, [outcome])
         assert (outcome.fitted, outcome.failed, outcome.newly_unfit) == (fitted, 0, 0)
-        assert f"{fitted} of 2 runs fitted, {kept}0 could not be, 1 has no panel sensors" in str(outcome.line)
+        assert f"{fitted} of 2 runs fitted, {kept}0 could not be fitted, 1 has no panel sensors" in str(
+            outcome.line
+        )
     assert not store.journal(level="warning").items
 
 
@@ -348,7 +350,9 @@ def test_a_promoted_effect_refits_the_newest_runs_at_once_and_the_others_night_b
     promote_with(store, "lab-1", "edge_loss")
     nights = [refit_press(store, "lab", PRESS, workers=1) for _ in range(4)]
     assert [(n.new, n.fitted, n.later) for n in nights] == [(0, 7, 5), (0, 3, 2), (0, 2, 0), (0, 0, 0)]
-    assert "7 of 12 runs fitted, 0 could not be, 5 older ones follow in the next 2 nights" in str(nights[0].line)
+    assert "7 of 12 runs fitted, 0 could not be fitted, 5 older ones follow in the next 2 nights" in str(
+        nights[0].line
+    )
     assert "2 older ones follow in the next night;" in str(nights[1].line)
     assert [night.night["later"] for night in store.nights(press="lab").items] == [0, 0, 2, 5, 0]
 
@@ -433,7 +437,7 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert outcome.promoted
     assert str(outcome.reason).startswith(
-        "no longer: heat lost at the rim: residual of single sensors while nothing moves, own "
+        "no longer: heat lost at the rim: residual of single sensors at rest, own "
     )
     model = store.active_model("lab").model
     assert (model["effects"], model["basis"]["judged_runs"]) == ([], [run.name for run in runs])
@@ -479,7 +483,7 @@ def test_what_moves_with_the_press_does_not_promote_a_model(monkeypatch):
 
     moved = found({"rmse_K": 2.0, "rmse_still_K": 0.3}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
     assert not moved.better
-    assert "single sensors while nothing moves, own contacts fitted, from 0.300 to 0.300 K" in str(moved.reason)
+    assert "single sensors at rest, own contacts fitted, from 0.300 to 0.300 K" in str(moved.reason)
     older = found({"rmse_K": 2.0}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
     assert older.better
     assert "single sensors, own contacts fitted, from 2.000 to 0.500 K" in str(older.reason)
@@ -610,7 +614,7 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     page = write_report(night_record(store, outcome), tmp_path / "reports").read_text(encoding="utf-8")
     page = page.replace("\N{NO-BREAK SPACE}", " ")
     assert f"Model {outcome.version} was promoted" in page
-    assert "3 of 3 runs fitted, 0 could not be." in page
+    assert "3 of 3 runs fitted, 0 could not be fitted." in page
     assert all(run.name in page for run in runs[:3])
     assert 'title="h_pp_c">plate – panel, closed' in page
     assert page.count("W/m²K") == len(PRESS.coefficient_names)

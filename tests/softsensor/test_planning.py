@@ -198,7 +198,7 @@ def test_ranges_are_the_runs_own_somewhat_widened() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"thickness_mm": (19.0, 8.0)}, "the lower end goes first"),
+        ({"thickness_mm": (19.0, 8.0)}, "give the lower end first"),
         ({"thickness_mm": (0.1, 8.0)}, "must lie between 2 and 80"),
         ({"pressure_N_cm2": (200.0, 300.0)}, "no such setting here; known are thickness_mm"),
     ],

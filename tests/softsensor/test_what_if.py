@@ -64,5 +64,5 @@ def test_what_cannot_be_asked_is_refused_with_what_can(pressed):
         what_if(pressed, {"colour": 1.0})
     with pytest.raises(InputError, match=r"press_time_s = 2 must lie between 5 and 3600"):
         what_if(pressed, {"press_time_s": 2.0})
-    with pytest.raises(InputError, match=r"more than 1,?200 s is not worked out"):
+    with pytest.raises(InputError, match=r"more than 1,?200 s is not simulated"):
         what_if(pressed, {"press_time_s": 2000.0})
