@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-REMARK = re.compile("by hand", re.IGNORECASE)
+REMARK = re.compile(r"\b(?:by hand|unverified|assumed)\b", re.IGNORECASE)
 REMARK_OF_MODULE = re.compile(
     "(?:Numbers|Thresholds) without another source were set by hand|numbers (?:below )?were set by hand"
 )

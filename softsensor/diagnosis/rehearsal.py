@@ -49,7 +49,7 @@ NOTHING = ""
 BLOCK_S = FACE_SLOW_S
 """Length of a block of residuals: the longest memory that a face's noise is taken to have. [s]"""
 FARTHEST = 2.0
-"""Standard deviations at most that a constant is drawn off."""
+"""Standard deviations at most that a constant is drawn off. By hand."""
 ONE_PRODUCT = {
     "panel.conductivity_W_mK": PANEL_SCATTER,
     "panel.heat_capacity_J_kgK": PANEL_SCATTER,

@@ -29,7 +29,7 @@ FAR_OFF = 2.0
 MOVES, MOVES_SD = 0.05, 2.0
 """A coefficient moves by this logarithm (5 %) and so many standard deviations at least. By hand, 2026-11."""
 SLOPE_S = 5.0
-"""Over so long before opening a core's rate is taken. [s]"""
+"""Over so long before opening a core's rate is taken. [s] By hand."""
 LEAST_RATE = 0.02
 """A core that warms more slowly is not said to gain by a longer pressing. By hand, 2026-11. [K/s]"""
 LARGER_K, WORTH_SECONDS_K = 0.1, 0.2

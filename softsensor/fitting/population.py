@@ -27,11 +27,11 @@ from softsensor.fitting.problem import (
 from softsensor.signals.instrument import SPREAD_LOG
 
 SPREAD_RUNS = 2.0
-"""How many runs the spread known beforehand counts for."""
+"""How many runs the spread known beforehand counts for. By hand."""
 SAME_SPREAD = 1e-3
 """Spread of a coefficient that all runs share: none that matters."""
 ITERATIONS = 200
-"""At most: a bound against a search that circles."""
+"""At most: a bound against a search that circles. By hand."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from softsensor.heat.mesh import Mesh
 
 PAPER = ("paper_bottom", "paper_top")
 PAPER_WIDTH = 1e-4
-"""Nominal width of a paper cell; resistance and capacity follow from the effect. [m]"""
+"""Nominal width of a paper cell; resistance and capacity follow from the effect. [m] By hand."""
 
 Flags = NDArray[np.bool_]
 

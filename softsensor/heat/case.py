@@ -41,7 +41,7 @@ from softsensor.heat.run_checks import (
 from softsensor.heat.timing import OPENING_RAMP_S, Clock
 
 FINE_STEP_S = 0.03
-"""Step around a switch. [s]"""
+"""Step around a switch. [s] By hand."""
 
 # Numbers without another source were set by hand, 2026-11.
 

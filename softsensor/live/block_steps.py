@@ -13,7 +13,7 @@ from softsensor.live.march_steps import march_span
 Array = NDArray[np.float64]
 
 BLOCK_S, EAGER_S = 0.45, 4.0
-"""Scans are taken together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s]"""
+"""Scans are taken together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s] By hand."""
 
 # Numbers without another source were set by hand, 2026-11.
 

@@ -47,7 +47,8 @@ UNSEEN_SHARE = 0.1
 over 100 K (the catalogue's ``conductivity_temperature`` and ``heat_capacity_temperature``), of which a pressing
 sees half, and offset each other in part. By hand, 2026-11."""
 UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
-"""What earlier runs leave unexplained at the faces counts so many times in a core that has risen so far. [-, K]"""
+"""What earlier runs leave unexplained at the faces counts so many times in a core that has risen so far. [-, K]
+By hand."""
 CONDUCTIVITY = "panel.conductivity_W_mK"
 WITHIN_CAPACITY = {"panel.density_kg_m3": 0.0}
 """What panels of one press differ by in rho c is told for both together (issue 18; a fit joins them,
@@ -55,7 +56,7 @@ WITHIN_CAPACITY = {"panel.density_kg_m3": 0.0}
 MOST_SHARE = 0.5
 """A constant in doubt by more is not known: answers to it are no straight lines. By hand, 2026-11."""
 LEAST_SHARE = 1e-3
-"""A constant whose doubt changes the stack's whole resistance or capacity by less is left out."""
+"""A constant whose doubt changes the stack's whole resistance or capacity by less is left out. By hand."""
 CONSTANT, DISCREPANCY = "constant", "discrepancy"
 """How names of the kinds begin."""
 

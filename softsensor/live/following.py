@@ -32,15 +32,16 @@ a gap and no closing was found, one was missed. Set by hand, 2026-11. [s, K]"""
 LATE_S = 2.0
 """Platens may be unknown for so long while a panel lies in the press for the first time. Set by hand. [s]"""
 REOPENED_S = 3.0
-"""A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s]"""
+"""A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s] By hand."""
 NOTICED_S = 2.0
-"""After so long on the hot plate a panel is noticed, or its sensors came late. [s]"""
+"""After so long on the hot plate a panel is noticed, or its sensors came late. [s] By hand."""
 OTHER_K = 40.0
-"""Faces colder than expected by so much after the opening are another panel's. [K]"""
+"""Faces colder than expected by so much after the opening are another panel's. [K] By hand."""
 UNCLEAR_S = 1.5
-"""An insertion better known than this and before the first scan is taken to be with it. [s]"""
+"""An insertion better known than this and before the first scan is taken to be with it. [s] By hand."""
 HOTTEST_START_C = 80.0
-"""A start temperature above was read from a panel that has been pressed: a recorder begun in between. [°C]"""
+"""A start temperature above was read from a panel that has been pressed: a recorder begun in between. [°C]
+By hand."""
 
 
 class PressFollower:

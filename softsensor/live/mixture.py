@@ -17,16 +17,17 @@ from softsensor.signals.doubt import DOUBT_SIZES
 
 MARGIN_K, MARGIN_SHARE = 0.1, 0.003
 """What the model itself adds to the core: absolute (what header and logger round to), and of its rise (mesh,
-steps). Start temperature and panel constants are not in it: they are parameters of the filter. [K, -]"""
+steps). Start temperature and panel constants are not in it: they are parameters of the filter. [K, -] By hand."""
 MISFIT_USUAL, MISFIT_WEIGHT = 2.0, 5.0
-"""A misfit beyond the first (78 sound runs at 1 to 10 Hz had less) speaks for a change, so many nats a unit."""
+"""A misfit beyond the first (78 sound runs at 1 to 10 Hz had less) speaks for a change, so many nats a unit.
+By hand."""
 OTHER_PANEL, OTHER_SHARE, OTHER_K = 0.3, 0.15, 1.0
 """After a change: chance that the panel itself changed, and how far the core may then be off, of its rise since
-(a core cannot move at once), or where the faces are silent. [-, -, K]"""
+(a core cannot move at once), or where the faces are silent. [-, -, K] By hand."""
 LEAST_ODDS = -6.0
-"""Logarithm of the odds below which a change is no hypothesis."""
+"""Logarithm of the odds below which a change is no hypothesis. By hand."""
 SURE = 0.9
-"""Chance beyond which a change counts as one."""
+"""Chance beyond which a change counts as one. By hand."""
 CHANGED, ANOTHER_PANEL = "sudden change", "another panel"
 
 

@@ -45,7 +45,7 @@ right (0.025 / 0.25 lie beyond). Rates of entry errors are no surer: one trade h
 of entry (Garza et al. 2023, doi 10.21203/rs.3.rs-2386986), and a thickness is mostly new because somebody wants it
 so. By hand, 2026-11."""
 MOST_OTHERS = 3
-"""So many other panels have filters of their own, each at the cost of the header's."""
+"""So many other panels have filters of their own, each at the cost of the header's. By hand."""
 
 
 @dataclass(frozen=True)

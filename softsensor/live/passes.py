@@ -31,21 +31,22 @@ if TYPE_CHECKING:
     from softsensor.heat.model_file import ModelFile
 
 LEAST_WAIT_S = 0.5
-"""A panel lies in the press for so long at least before it closes. [s]"""
+"""A panel lies in the press for so long at least before it closes. [s] By hand."""
 UNSURE = 2.0
 """Faces count from so many standard deviations after an insertion nobody saw: sooner they rise with the root of
-time, and a straight line through that would be sure of a moment it cannot know."""
+time, and a straight line through that would be sure of a moment it cannot know. By hand."""
 UNEVEN_K = 0.5
 """A panel's faces follow the air of the hall before its core does: where they contradict the header, they tell the
-core's start no better than this. [K]"""
+core's start no better than this. [K] By hand."""
 BLOCKS_PER_S, LEAST_BLOCKS = 250, 25
-"""How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan."""
+"""How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan.
+By hand."""
 FOUND_LATER = 2
 """So many of `TIMING`, closing and opening, become known after the filters have begun."""
 CLOSED = 2
 """Where the closing stands among a run's switches."""
 EVEN = 0.5
-"""Chance of a change from which on the core is no longer counted as before it."""
+"""Chance of a change from which on the core is no longer counted as before it. By hand."""
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ they do. By hand. [s]"""
 # Timing
 
 MOMENT_S, MOMENT_ROWS, MOMENT_LIMIT_S = 0.1, 0.4, 1.0
-"""A moment found in the temperatures, for fit and diagnosis: at least, per row, at most. [s, rows, s]"""
+"""A moment found in the temperatures, for fit and diagnosis: at least, per row, at most. [s, rows, s] By hand."""
 LIVE_MOMENT_S = 0.15
 """The same for the live sensor where scans are dense: about `moment_sd` at 10 Hz, and not made wider for slower
 ones, whose gaps it treats on their own. By hand, 2026-11. [s]"""
@@ -91,12 +91,13 @@ passed for late thermocouples (virtual press, 12 runs with nothing hidden, seed 
 # Panels and pressings
 
 START_K = 0.3
-"""The panel's start temperature in the header against the true one: a handheld sensor, an uneven panel. [K]"""
+"""The panel's start temperature in the header against the true one: a handheld sensor, an uneven panel. [K]
+By hand."""
 START_TOTAL_K = math.hypot(START_K, PLATEN_CLASS_K)
 """With what the sensor that gave it may be off in all runs, which is of a platen channel's class. Where no face is
 read, nothing else tells the start. The live sensor's number, as `PLATEN_TOTAL_K` is. [K]"""
 GUESS_LOG = 0.7
-"""Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two."""
+"""Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two. By hand."""
 SPREAD_LOG = 0.15
 """Of the logarithm of a coefficient from pressing to pressing, before runs have shown it: 12 to 30 % were seen."""
 FREE_SPREAD_LOG = 0.4
@@ -104,7 +105,7 @@ FREE_SPREAD_LOG = 0.4
 SEEN_SPREAD_LOG = 0.12
 """The same at least in a diagnosis, whatever its runs show: the least of what was seen."""
 LEAST_SPREAD_LOG = 0.05
-"""The same at least for fits and live sensor, whatever a few runs show: smaller scatter is luck."""
+"""The same at least for fits and live sensor, whatever a few runs show: smaller scatter is luck. By hand."""
 
 
 def scan_sd(period_s: float) -> float:
