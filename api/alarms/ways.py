@@ -162,7 +162,8 @@ class Webhook:
             with build_opener(_NoRedirect).open(request, timeout=TRY_S):
                 return
         except HTTPError as error:  # in its own words the receiver may repeat the address
-            raise NotDelivered(f"{error.code} {responses.get(error.code, '')}".strip()) from error
+            with error:  # its connection is left open else
+                raise NotDelivered(f"{error.code} {responses.get(error.code, '')}".strip()) from error
         except (URLError, HTTPException, OSError, ValueError) as error:
             raise NotDelivered(str(getattr(error, "reason", "")) or type(error).__name__) from error
 

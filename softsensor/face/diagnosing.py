@@ -128,7 +128,7 @@ def diagnose(
     >>> found.verdict, [effect["name"] for effect in found.content["suspected"]]
     ('too_few_runs', ['edge_loss'])
     >>> print(found.diagnosis.next_measurement)  # doctest: +ELLIPSIS
-    Press at least 4 more panels, with different press times and, if possible, thicknesses...
+    Press at least 3 more panels, with different press times and, if possible, thicknesses...
     """
     described = read_press(press)
     wanted = None if effects is None else names_of(effects)

@@ -73,7 +73,7 @@ def test_program_outside_those_seen_is_predicted_with_a_remark(fitted):
         assert c["ci95"][0] <= c["value"] <= c["ci95"][1]
     page = (fitted / "fit.html").read_text()
     assert "A program never run" in page
-    assert "press_time_s = 200" in page
+    assert "press_time_s =\u00a0200" in page
 
 
 def test_page_shows_profiles_and_what_runs_borrow_and_needs_nothing_from_elsewhere(fitted):

@@ -293,7 +293,7 @@ def test_a_channel_among_the_loggers_is_green_only_while_it_is_read_and_used(pla
         (
             "de-DE",
             "Dampf, der Wärme trägt, oder Wärmekapazität, die von der Temperatur abhängt",
-            "Der längste Balken, verdampfende Feuchte, ist nicht die Ursache oben",
+            "Der längste Balken, verdampfende Feuchte, ist nicht die genannte Ursache",
         ),
     ],
 )

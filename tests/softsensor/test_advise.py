@@ -211,7 +211,7 @@ def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_i
         ),
         (
             {"limits": {"core_least_C": 60.0}, "ranges": {"press_time_s": (20.3, 20.31)}},
-            "1 s apart, and none lies",
+            "steps of 1 s, and none lies",
         ),
         ({"limits": {"core_cold": 60.0}}, "core_cold"),
     ],

@@ -811,7 +811,7 @@ def advise(**asked):
         (lambda: advise(ranges={"press_time_s": 5}), "int: ranges are given as"),
         (
             lambda: advise(ranges={"press_time_s": (500.0, 5.0)}),
-            "range of press_time_s from 500 to 5: the lower end",
+            "range of press_time_s from 500 to 5: give the lower end",
         ),
         (lambda: advise(goal="speed"), "goal speed: must be one of time, energy, throughput"),
         (lambda: advise(waiting_s=math.nan), "waiting_s = nan: must be a number from 1 to 600"),
