@@ -122,7 +122,7 @@ def test_what_is_learned_is_said_with_what_to_write_into_the_resin_file() -> Non
     learned, stated = (100.0 * told["foreseen"][key] for key in ("learned", "stated"))
     assert f"a mean probability of {learned:.0f} %, by the stated limit {stated:.0f} %" in foreseen
     assert "steam_believed_kPa = 100, steam_believed_kPa.sd = 35" in keep
-    assert f"bear {told['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
+    assert f"withstand {told['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
     assert f"steam_most_kPa = {told['steam_most_kPa']:.0f}, steam_most_kPa.sd = {told['sd_kPa']:.0f}" in write
 
 
