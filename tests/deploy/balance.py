@@ -362,6 +362,13 @@ class _Count:
         found = [cause for a, b, cause in self.blind if a <= end_s and begin_s <= b]
         return min(found, key=lambda cause: cause != AWAY) if found else None
 
+    def _apart(self, at_s: float) -> float:
+        """Return by how much more than their period scans around a moment lie apart on a busy machine. [s]"""
+        scans = self.scans
+        first, last = np.searchsorted(scans.times, (at_s - MARGIN_S, at_s + MARGIN_S))
+        surplus = np.diff(scans.times[first:last]) - np.asarray(scans.periods)[first + 1 : last]
+        return float(surplus.max(initial=0.0))
+
     def _span(self, run: Any) -> tuple[float, float]:
         """Return the times of a run's first and last scan. [s]"""
         first = self.scans.numbers[0]
@@ -456,7 +463,7 @@ class _Count:
             for kind, true_s in _moments(true):
                 hidden = self._blind_over(true_s - MARGIN_S, true_s + MARGIN_S) or hidden
                 at_s = min(found[kind], key=lambda at_s, true_s=true_s: abs(at_s - true_s), default=np.nan)
-                if abs(at_s - true_s) <= MOMENT_S:
+                if abs(at_s - true_s) <= MOMENT_S + self._apart(true_s):
                     matched.add((kind, at_s))
                     hidden = None
                 elif hidden:
