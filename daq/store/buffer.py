@@ -178,26 +178,14 @@ class Buffer:
     def _do(self, work: Callable[[sqlite3.Connection], Result]) -> Result:
         """Work with the file; a damaged one is replaced first."""
         try:
-            with closing(self._open()) as connection:
+            with closing(open_file(self.path)) as connection:
                 return work(connection)
         except sqlite3.Error as error:
             if _passes(error, self.path):
                 raise
             self._renew(error)
-        with closing(self._open()) as connection:
+        with closing(open_file(self.path)) as connection:
             return work(connection)
-
-    def _open(self, path: Path | None = None) -> sqlite3.Connection:
-        connection = sqlite3.connect(path or self.path, isolation_level=None, timeout=5.0)
-        try:
-            connection.execute("PRAGMA locking_mode=EXCLUSIVE")  # else a shared file: no room on a full disk
-            connection.execute("PRAGMA journal_mode=WAL")
-            connection.execute("PRAGMA synchronous=FULL")
-            connection.executescript(_TABLES)
-        except sqlite3.Error:
-            connection.close()
-            raise
-        return connection
 
     def _renew(self, error: sqlite3.Error) -> None:
         """Set the file aside and go on with what can be read of it, once a fresh one holds that."""
@@ -208,7 +196,7 @@ class Buffer:
         fresh = self.path.with_name(f"{self.path.name}.fresh")
         _remove(fresh)
         try:
-            with closing(self._open(fresh)) as connection:
+            with closing(open_file(fresh)) as connection:
                 connection.execute("BEGIN IMMEDIATE")
                 connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
                 for session, content in {**notes, **self._known}.items():
@@ -229,6 +217,20 @@ class Buffer:
             self._alarm(say(code, kept=len(rows), lost=lost, **said))
         else:
             self._alarm(say("buffer-gone", file=str(self.path), error=str(error), lost=lost))
+
+
+def open_file(path: Path) -> sqlite3.Connection:
+    """Open a buffer's file, with its tables, so that a row written is on the disk. Raises `sqlite3.Error`."""
+    connection = sqlite3.connect(path, isolation_level=None, timeout=5.0)
+    try:
+        connection.execute("PRAGMA locking_mode=EXCLUSIVE")  # else a shared file: no room on a full disk
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.executescript(_TABLES)
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
 
 
 def hours_of_room(folder: Path, per_second: float, batch_bytes: float = _TYPICAL_BYTES) -> float:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 from daq.records import InputError
-from daq.store.buffer import hours_of_room
-from daq.store.file_rescue import files_of
+from daq.store.buffer import hours_of_room, open_file
+from daq.store.file_rescue import remove_trial
 from daq.words import say
 
 
@@ -33,20 +33,10 @@ def try_place(path: Path, per_second: float) -> float:
         raise InputError(say("buffer-place-refused", file=str(path), reason=say("buffer-place-no-permission")))
     trial = path.with_name(f"{path.name}.check-{os.getpid()}")
     try:
-        _write_durably(trial)
+        with closing(open_file(trial)) as connection:
+            connection.execute("INSERT INTO parcel VALUES (1, '{}')")
     except (sqlite3.Error, OSError) as error:
         raise InputError(say("buffer-place-refused", file=str(path), reason=str(error))) from error
     finally:
-        for one in files_of(trial):
-            with suppress(OSError):
-                one.unlink(missing_ok=True)
+        remove_trial(trial)
     return hours_of_room(folder, per_second)
-
-
-def _write_durably(path: Path) -> None:
-    """Make a file as a buffer is made, with a row in it."""
-    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.execute("CREATE TABLE parcel (number INTEGER PRIMARY KEY, content TEXT NOT NULL)")
-        connection.execute("INSERT INTO parcel VALUES (1, '{}')")

@@ -70,6 +70,13 @@ def files_of(path: Path) -> list[Path]:
     return [path, *(Path(f"{path}{ending}") for ending in LOGS)]
 
 
+def remove_trial(path: Path) -> None:
+    """Remove a file that was made for a while, and what SQLite keeps beside it; what cannot be removed stays."""
+    for one in files_of(path):
+        with suppress(OSError):
+            one.unlink(missing_ok=True)
+
+
 def identity_of(path: Path) -> Identity | None:
     """Return which file a name stands for, and by which path; None where there is none, or an empty one."""
     try:

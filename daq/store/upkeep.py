@@ -11,7 +11,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -23,7 +23,7 @@ from daq.address import Address
 from daq.files.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
-from daq.store.file_rescue import files_of
+from daq.store.file_rescue import files_of, remove_trial
 from daq.store.reading import first_number_from
 from daq.store.records import RunStatus, StoreUnavailable
 from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, IDLE_THINNED, METADATA, MODEL, PRESS, RUN, SCAN
@@ -87,9 +87,7 @@ def back_up(database: Database, target: Path) -> Contents:
     except (sqlite3.Error, OSError) as error:
         raise StoreUnavailable(say("backup-failed", file=str(target), error=str(error))) from error
     finally:
-        for leftover in files_of(part):
-            with suppress(OSError):
-                leftover.unlink(missing_ok=True)
+        remove_trial(part)
     return contents
 
 
