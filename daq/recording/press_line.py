@@ -371,7 +371,8 @@ class PressLine:
 
 
 def _watchers(settings: PressSettings) -> tuple[PressEventDetector, LateBeginning]:
-    return PressEventDetector(press_of(settings)), LateBeginning(press_of(settings))
+    press = press_of(settings)
+    return PressEventDetector(press), LateBeginning(press)
 
 
 def _channels(threads: Sequence[LoggerThread], wires: Wires) -> tuple[Channel, ...]:
