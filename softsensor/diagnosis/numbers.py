@@ -12,12 +12,12 @@ from daq.records import Array
 from softsensor.diagnosis.extension import RunState, SharedFit
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import CLOCK_ERROR_S
-from softsensor.diagnosis.settling import SettledModel
+from softsensor.diagnosis.settling import START_NOISE, SettledModel
 from softsensor.effects import Effect, Need
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
 from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise
 from softsensor.signals.faces import place_scatter
-from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_K, MEAN_FAST_S, MEAN_SLOW_K, MEAN_WHITE_K
+from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_S
 from softsensor.signals.student import student
 
 MODEL_ERROR = 0.03
@@ -188,9 +188,8 @@ def noise_floor(stages: Sequence[SettledModel]) -> float:
     Smallest over the models: none adds noise, but a bad one may leave corners.
     """
     digests = [d.digest for d in stages[0].data]
-    usual = MeanNoise(MEAN_SLOW_K, MEAN_FAST_K, MEAN_WHITE_K)
-    shared2 = usual.slow**2 + usual.fast**2
-    factor2 = min(_excess(digests, [r.misfit for r in s.fit.runs], usual) for s in stages)
+    shared2 = START_NOISE.slow**2 + START_NOISE.fast**2
+    factor2 = min(_excess(digests, [r.misfit for r in s.fit.runs], START_NOISE) for s in stages)
     return float(np.sqrt(np.mean([place_noise(d) ** 2 for d in digests]) + factor2 * shared2))
 
 

@@ -111,9 +111,7 @@ def scatter(fit: SharedFit) -> dict[str, float]:
 def coarse(stage: SettledModel) -> MeanNoise:
     """Return noise as large as the stage's misfit suggests, up to `COARSEST` times."""
     factor = float(np.clip(np.sqrt(stage.misfit), 1.0 / COARSEST, COARSEST))
-    factor = 1.0 if 0.6 < factor < 1.1 else factor
-    n = stage.noise
-    return MeanNoise(n.slow * factor, n.fast * factor, n.white * factor)
+    return stage.noise.times(1.0 if 0.6 < factor < 1.1 else factor)
 
 
 def begun_alone(stage: SettledModel) -> SettledModel:
@@ -156,7 +154,7 @@ def finer(noise: MeanNoise, misfit: float) -> tuple[MeanNoise, float]:
     """
     root = float(np.sqrt(misfit))
     factor = float(np.clip(root, 1.0 / COARSEST, 1.0))
-    return MeanNoise(noise.slow * factor, noise.fast * factor, noise.white * factor), 1.0 / max(root, 1.0)
+    return noise.times(factor), 1.0 / max(root, 1.0)
 
 
 def with_own_panel(stage: SettledModel, run: int) -> Digest:

@@ -7,7 +7,7 @@ The method and why it is so:
    own coefficients, moments, start temperature, platen errors and sensor offsets, with priors learned
    from the campaign, and conductivity and heat capacity about those given, as panels of one product differ
    (`extension`). What these can absorb is no evidence for a cause. Where a model is further off than noise, panels
-   are held the nearer to those given, or they would take up what it leaves (`search.finer`).
+   are held the nearer to those given, or they would take up what it leaves (`settling.finer`).
 3. Every candidate of the catalogue is fitted for real on top, all of that following it. A score along a
    finite-size secant gives each run's score, and so does what it gains by numbers from the others, large ones
    tempered; signs of whole runs are flipped for the p-value, with the maximum over candidates

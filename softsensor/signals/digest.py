@@ -72,6 +72,10 @@ class MeanNoise:
     white: float
     """Of each row."""
 
+    def times(self, factor: float) -> MeanNoise:
+        """Return all of it so many times as large."""
+        return MeanNoise(self.slow * factor, self.fast * factor, self.white * factor)
+
 
 @dataclass(frozen=True)
 class Digest:
