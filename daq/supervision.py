@@ -78,18 +78,18 @@ def unexpected(error: BaseException) -> Message:
 T = TypeVar("T")
 
 
-class Untold(Generic[T]):
+class Pending(Generic[T]):
     """What is to be journalled: kept until the journal has taken it."""
 
     def __init__(self, journal: Callable[[T], object]) -> None:
         self._journal = journal
         self._waiting: list[T] = []
 
-    def add(self, said: T) -> None:
-        """Take something to be told."""
-        self._waiting.append(said)
+    def add(self, item: T) -> None:
+        """Keep an item until the journal takes it."""
+        self._waiting.append(item)
 
-    def tell(self) -> None:
+    def hand_over(self) -> None:
         """Journal what waits, the oldest first; raises what the journal raises."""
         while self._waiting:
             self._journal(self._waiting[0])
@@ -111,7 +111,7 @@ class SupervisedThread:
     ) -> None:
         self.fault: Message | None = None
         """Why the work last ended, until it has gone well again."""
-        self._work, self._untold = work, Untold(journal)
+        self._work, self._pending = work, Pending(journal)
         self._steps, self._done = steps, 0
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._ending = threading.Event()
@@ -133,7 +133,7 @@ class SupervisedThread:
     def worked(self) -> None:
         """Note that all is well."""
         self.fault = None
-        self._tell()
+        self._journal_faults()
 
     def failed(self, error: BaseException) -> None:
         """Note an exception and tell it, once for each that differs from the one before."""
@@ -143,13 +143,13 @@ class SupervisedThread:
             known, self._done = None, self._steps.done
         if known != fault:
             LOG.error("%s", fault, exc_info=error)
-            self._untold.add(fault)
-        self._tell()
+            self._pending.add(fault)
+        self._journal_faults()
 
-    def _tell(self) -> None:
+    def _journal_faults(self) -> None:
         """Journal the faults not journalled yet; what the journal does not take is told with the next."""
         try:
-            self._untold.tell()
+            self._pending.hand_over()
         except Exception:
             LOG.exception("journal")
 
@@ -157,7 +157,7 @@ class SupervisedThread:
         last = False
         while not last:
             last = self._ending.is_set()
-            self._tell()
+            self._journal_faults()
             try:
                 self._work()
             except BaseException as error:  # noqa: BLE001 - whatever it is, the work must go on

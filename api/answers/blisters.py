@@ -31,7 +31,7 @@ _STEAM: Kept[tuple[str, str, int | None], tuple[float, float]] = Kept(REMEMBERED
 
 def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
     """Return the marked panels of a press and what they say of the steam that panels bear."""
-    from softsensor.opening.blisters import believed_limit, learn_limit, limit_said
+    from softsensor.opening.blisters import believed_limit, learn_limit, limit_messages
     from softsensor.opening.limits import Normal
 
     runs = every(lambda at: store.runs(press=press, cursor=at, limit=500))
@@ -41,7 +41,7 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
     burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
     believed = believed_limit(resin)
     found = learn_limit(Normal(log[::-1, 0], log[::-1, 1]), burst[::-1], *believed)
-    lines = limit_said(found)
+    lines = limit_messages(found)
     return Blisters(
         press=press,
         panels=[_panel(run, *one) for run, one in zip(marked, steam, strict=True)],

@@ -354,7 +354,7 @@ def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:
     found = {}
     for effect in filter(None, map(known_effect, effects)):
         for p in effect.parameters:
-            called, unit = effect.parameter_called(p.name), p.told_unit
+            called, unit = effect.parameter_called(p.name), p.shown_unit
             found[effect.key(p.name)] = ParameterWords(
                 words=str(called),
                 words_said=said_of(called),

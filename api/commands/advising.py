@@ -88,9 +88,9 @@ def advise(asked: AdviseOptions) -> None:
 
             outputs[asked.svg] = drawn(advice_figure(found, spoken_language()))
         write_all(outputs)
-    from softsensor.planning.summary import advice_said
+    from softsensor.planning.summary import advice_messages
 
-    for line in advice_said(found):
+    for line in advice_messages(found):
         tell(line)
 
 

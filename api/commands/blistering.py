@@ -42,10 +42,10 @@ def blisters(asked: BlistersOptions) -> None:
     with working(say("terminal-progress-blisters", runs=len(loaded))):
         from softsensor.face.learning import learn_steam_limit
         from softsensor.jobs.model_files import read_model
-        from softsensor.opening.blisters import limit_said
+        from softsensor.opening.blisters import limit_messages
 
         known = read_model(asked.model) if asked.model is not None else None
         found = learn_steam_limit(loaded, described, known, resin=paper)
         write_all({} if asked.json is None else {asked.json: as_json(found.as_json())})
-    for line in limit_said(found):
+    for line in limit_messages(found):
         tell(line)

@@ -159,35 +159,42 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
 
 def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
     """Yield the table of power and false names."""
-    from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
+    from softsensor.report.rehearsal_rows import HEADS, none_message, rehearsal_rows
 
     yield in_words(say("rehearsal-title", runs=rehearsal.runs))
     heads = [in_words(say(code)) for code in HEADS]
     cells = [[in_words(cell) for cell in row.cells] for row in rehearsal_rows(rehearsal)]
     if cells:
         yield from aligned([heads, *cells])
-    yield in_words(none_said(rehearsal))
+    yield in_words(none_message(rehearsal))
     yield in_words(say("rehearsal-own-model"))
 
 
 def _ahead(press: Press, found: Diagnosis) -> Iterator[str]:
     """Say what pressings would settle of causes, where one is open."""
     from softsensor.planning.plan import plan
-    from softsensor.planning.summary import best_said, point_said
+    from softsensor.planning.summary import best_message, point_message
 
     points = plan(press, found, causes_alone=True).points
     if points:
         yield in_words(say("diagnosed-plan"))
     for advice in points[:PLANNED]:
-        yield f"  {in_words(point_said(advice.point))}. {in_words(best_said(advice))}"
+        yield f"  {in_words(point_message(advice.point))}. {in_words(best_message(advice))}"
 
 
 def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
-    from softsensor.diagnosis.summary import core_said, law_said, sureness, verdict_said, where_said, worth
+    from softsensor.diagnosis.summary import (
+        core_messages,
+        law_messages,
+        sureness,
+        verdict_messages,
+        where_message,
+        worth,
+    )
     from softsensor.effects.vocabulary import parameters_shown
 
     runs = len(found.stages[0].data)
-    yield f"{found.verdict}: {in_words(*verdict_said(found))}"
+    yield f"{found.verdict}: {in_words(*verdict_messages(found))}"
     for f in found.findings:
         if f.of_channels:
             continue
@@ -199,10 +206,10 @@ def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
             yield f"    {in_words(p.line)}"
     yield f"  {in_words(say('diagnosed-residual', base=found.base.rmse_K, extended=found.extended.rmse_K))}"
     if found.where:
-        yield in_words(*where_said(found))
-    yield from map(in_words, law_said(found))
+        yield in_words(*where_message(found))
+    yield from map(in_words, law_messages(found))
     if law and found.law is None:
         yield in_words(say("law-none"))
-    yield in_words(*core_said(found))
+    yield in_words(*core_messages(found))
     yield in_words(say("diagnosed-next", sentence=found.next_measurement))
     yield from map(in_words, found.warnings)

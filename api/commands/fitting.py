@@ -230,7 +230,7 @@ def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program |
     known = found.dependence.settings if found.dependence is not None else ()
     if found.dependence is None or (missing := [key for key in settings if key not in known]):
         unknown = tuple(missing if found.dependence is not None else settings)
-        raise InputError(say("terminal-program-cannot-tell", runs=len(found.runs), settings=unknown))
+        raise InputError(say("terminal-program-not-known", runs=len(found.runs), settings=unknown))
     return found.program(settings)
 
 
@@ -268,7 +268,7 @@ def _reproduce(asked: FitOptions) -> None:
     heads = [in_words(say(f"report-paper-{column}")) for column in found.rows[0]]
     for line in aligned([heads, *([in_words(cell) for cell in row.values()] for row in found.rows)]):
         tell(line)
-    tell(found.said)
+    tell(found.message)
 
 
 def count(done: Callable[[int], None]) -> Callable[[str], None]:

@@ -55,9 +55,9 @@ def plan(asked: PlanOptions) -> None:
             described, found, ranges, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
         )
         write_all({} if asked.json is None else {asked.json: as_json(told.as_json())})
-    from softsensor.planning.summary import plan_said
+    from softsensor.planning.summary import plan_messages
 
-    for line in plan_said(told):
+    for line in plan_messages(told):
         tell(line)
 
 

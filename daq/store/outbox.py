@@ -26,7 +26,7 @@ from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
-from daq.supervision import BEAT_S, STALLED_S, SupervisedThread, Untold, unexpected
+from daq.supervision import BEAT_S, STALLED_S, Pending, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
@@ -61,9 +61,9 @@ class Outbox:
         self.written = 0
         self._store = store
         self._journal = journal or (lambda level, message: None)
-        self._untold = Untold(partial(self._journal, "alarm"))
+        self._pending = Pending(partial(self._journal, "alarm"))
         """Alarms of the buffer, told by the thread."""
-        self._buffer = None if buffer is None else Buffer(buffer, self._untold.add)
+        self._buffer = None if buffer is None else Buffer(buffer, self._pending.add)
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
@@ -167,7 +167,7 @@ class Outbox:
         while self._inbox:
             self._waiting.append(self._inbox[0])
             self._inbox.popleft()
-        self._untold.tell()
+        self._pending.hand_over()
         if len(self._waiting) > _MOST_WAITING:
             self._thin_out()
 
@@ -197,8 +197,8 @@ class Outbox:
             aside = database.rescue(self._moves)
             if cut:
                 self._again, self._unsettled = [*self._again, *self._unsettled], deque(maxlen=_MOST_WAITING)
-            said: dict[str, Any] = {"store": self._store.label, "aside": str(aside), "count": len(self._again)}
-            self._journal("alarm", Message(beside if aside else "store-rescued", said))
+            details: dict[str, Any] = {"store": self._store.label, "aside": str(aside), "count": len(self._again)}
+            self._journal("alarm", Message(beside if aside else "store-rescued", details))
         if database.path is not None and not database.held:
             database.hold_on()
 
@@ -295,8 +295,8 @@ class Outbox:
         aside = set_aside(self._aside, item_in_words(item), str(why))
         if isinstance(item, Entry):
             if item.message.code != "line-set-aside":  # or one that tells of itself would never end
-                said = say("line-set-aside", aside=str(aside))
-                self.put(Entry("alarm", item.process, said, unix_s=item.unix_s))
+                details = say("line-set-aside", aside=str(aside))
+                self.put(Entry("alarm", item.process, details, unix_s=item.unix_s))
             return
         what = say("set-aside-begin", run=item.begin.run) if item.begin else say("set-aside-scans")
         self._journal("alarm", say("item-set-aside", press=item.key.name, what=what, why=why, aside=str(aside)))
@@ -325,13 +325,13 @@ class Outbox:
         try:
             self._buffer.append(self._waiting)
         except (sqlite3.Error, OSError, ValueError, TypeError) as error:  # the last two: no text stands for it
-            self._tell_of_buffer(error)
+            self._journal_buffer(error)
             return
         self._buffer_trouble = False
         kept, self._waiting = self._waiting, []
         self._acknowledge(kept)
 
-    def _tell_of_buffer(self, error: Exception) -> None:
+    def _journal_buffer(self, error: Exception) -> None:
         if not self._buffer_trouble and self._buffer is not None:
             self._buffer_trouble = True
             self._journal("alarm", say("scans-wait", why=self._buffer.refusal(error), where=self.capacity))
@@ -345,7 +345,7 @@ class Outbox:
                 if any(isinstance(x, WriteBatch) and self._placement.waits_for_place(x) for x in self._waiting):
                     # the place of what waits here is behind what is in there
                     raise StoreUnavailable(self._buffer.refusal(error)) from error
-                self._tell_of_buffer(error)
+                self._journal_buffer(error)
                 return
             if not rows:
                 return

@@ -684,6 +684,8 @@ parameter-law-level = Logarithmus des Faktors zur spätesten Zeit
 parameter-law-most_load = höchster Druck, bezogen
 parameter-law-strength = Stärke, 1 wie gefunden
 parameter-law-value = Wert an der Stützstelle { $knot }
+parameter-line = { $words } ({ $name }): { $amount }
+parameter-line-within = { $line } (95 %: { $between })
 parameter-moisture_evaporation-moisture_percent = Wasser, das verdampft
 parameter-moisture_evaporation-temperature_C = Temperatur, ab der es verdampft
 parameter-open_radiation-emissivity = wirksamer Emissionsgrad von Presse und Platte
@@ -694,8 +696,6 @@ parameter-platen_offset-top_K = obere Heizplatte heißer als gemessen um
 parameter-resin_cure-heat_kJ_m2 = Reaktionswärme des Harzes
 parameter-thermocouple_footprint-weight = Anteil der Presse an der Messung
 parameter-thermocouple_lag-time_constant_s = Zeitkonstante der Plattenfühler
-parameter-told = { $words } ({ $name }): { $amount }
-parameter-told-within = { $told } (95 %: { $between })
 parameter-vapour_convection-W_m3K = vom Dampf getragene Wärme je Volumen und Kelvin über 100 °C
 place-bottom = { $body }, Unterseite
 place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm über der Unterseite
@@ -987,7 +987,7 @@ phase-after-opening = nach dem Öffnen
 phase-before-closing = vor dem Schließen
 phase-closed = geschlossen
 phase-since-run-began = seit Beginn der Pressung
-verdict-cannot-tell = Diese Pressungen können folgende Ursachen nicht unterscheiden: { $causes }.
+verdict-alike = Diese Pressungen können folgende Ursachen nicht unterscheiden: { $causes }.
 verdict-differs-from-run-to-run = Diese { $runs } Pressungen haben keine Ursache gemeinsam, und doch liegt das einfache Modell { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen: was fehlt, ist von Pressung zu Pressung verschieden.
 verdict-faulty-channels = Lose, gedriftet oder vertauscht und weggelassen: { $columns }.
 verdict-few-runs = { $runs } { $runs ->
@@ -1040,6 +1040,7 @@ worth-saves = senkt das Residuum einer typischen ausgelassenen Pressung um { NUM
 
 ## softsensor.diagnosis.laws: what is missing as a free function
 
+law-alike = Diese Pressungen können es nicht unterscheiden von: { $others }.
 law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
 law-axis-load_share = Druck, als Anteil seines Bezugs
 law-axis-temperature_C = Temperatur [°C]
@@ -1052,6 +1053,7 @@ law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimu
         [hotter] heißer
        *[cooler] kühler
     }.
+law-found = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-heading = Was fehlt, ohne Namen
 law-kind-conductivity = Faktor auf die Wärmeleitfähigkeit der Platte
 law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
@@ -1062,9 +1064,7 @@ law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
 law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abkühlen nicht frei wird
 law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
 law-none = Kein freies Gesetz: bei keinem ist sicher, dass es ausgelassene Pressungen verbessert.
-law-not-told-from = Diese Pressungen können es nicht unterscheiden von: { $others }.
 law-resembles = In seinem Band stimmt er mit der Kurve einer bekannten Ursache überein: { $cause }.
-law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
 law-variable-load_share = Druck als Anteil seines Bezugs
 law-variable-temperature_C = Temperatur in °C
@@ -1412,8 +1412,8 @@ report-at-core = Am Kern: { $core }
 report-bold-better = W/m²K, ± das halbe 95-%-Intervall. Fett: gemeinsam viel besser bekannt als einzeln.
 report-bold-excludes = Fett: das 95-%-Intervall schließt „keine Änderung“ aus.
 report-candidates = Alle Kandidaten
-report-cannot-tell = Diese Pressungen können die Ursachen nicht unterscheiden. Was es könnte:
 report-cause = Ursache
+report-causes-alike = Diese Pressungen können die Ursachen nicht unterscheiden. Was es könnte:
 report-chance = Wahrscheinlichkeit, dass es Zufall ist
 report-change = Änderung des Koeffizienten
 report-coefficient = Koeffizient
@@ -1763,13 +1763,13 @@ terminal-probe-nothing-known = { $place }: kein bekanntes Messgerät misst hier 
 terminal-probe-reading = { $meaning }: { $percent } % auf Raumtemperatur: { $values }
 terminal-probe-reads-as-well = passt ebenso gut: { $profiles }; auf das Typenschild sehen
 terminal-probe-registers = Station { $station }, Funktion { $function }: Register ab 0, gelesen als
-terminal-program-cannot-tell =
+terminal-program-key-twice = --program { $setting }: { $key } ist zweimal angegeben; ein Programm hat einen Wert davon
+terminal-program-no-number = --program { $setting }: „{ $value }“ ist keine Zahl
+terminal-program-not-known =
     { $runs ->
         [one] --program: eine Pressung kann nicht zeigen, was { $settings } bewirkt; mindestens 8 Pressungen angeben, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
        *[other] --program: { $runs } Pressungen können nicht zeigen, was { $settings } bewirkt; mindestens 8 Pressungen angeben, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
     }
-terminal-program-key-twice = --program { $setting }: { $key } ist zweimal angegeben; ein Programm hat einen Wert davon
-terminal-program-no-number = --program { $setting }: „{ $value }“ ist keine Zahl
 terminal-program-out-of-range = --program { $setting }: muss zwischen 0 und { $most } { $unit } liegen
 terminal-program-unknown-key = --program { $setting }: muss KEY=WERT sein, mit KEY eins von { $known }
 terminal-progress-advising = Programme werden durchgerechnet

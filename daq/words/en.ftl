@@ -684,6 +684,8 @@ parameter-law-level = logarithm of the factor at the latest time
 parameter-law-most_load = highest pressure over its reference
 parameter-law-strength = strength, 1 as found
 parameter-law-value = value at knot { $knot }
+parameter-line = { $words } ({ $name }): { $amount }
+parameter-line-within = { $line } (95 %: { $between })
 parameter-moisture_evaporation-moisture_percent = water that evaporates
 parameter-moisture_evaporation-temperature_C = temperature from which it evaporates
 parameter-open_radiation-emissivity = effective emissivity of press and panel
@@ -694,8 +696,6 @@ parameter-platen_offset-top_K = upper platen hotter than its reading by
 parameter-resin_cure-heat_kJ_m2 = reaction heat of the resin
 parameter-thermocouple_footprint-weight = share of the press face in the reading
 parameter-thermocouple_lag-time_constant_s = time constant of the panel sensors
-parameter-told = { $words } ({ $name }): { $amount }
-parameter-told-within = { $told } (95 %: { $between })
 parameter-vapour_convection-W_m3K = heat carried by steam, per volume and kelvin above 100 °C
 place-bottom = { $body }, bottom face
 place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm from its bottom
@@ -979,7 +979,7 @@ phase-after-opening = after opening
 phase-before-closing = before closing
 phase-closed = closed
 phase-since-run-began = since the run began
-verdict-cannot-tell = These runs cannot distinguish the following causes: { $causes }.
+verdict-alike = These runs cannot distinguish the following causes: { $causes }.
 verdict-differs-from-run-to-run = No cause is common to these { $runs } runs, yet the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: what is missing differs from run to run.
 verdict-faulty-channels = Loose, drifting or swapped, and left out: { $columns }.
 verdict-few-runs = { $runs } { $runs ->
@@ -1023,6 +1023,7 @@ worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, m
 
 ## softsensor.diagnosis.laws: what is missing as a free function
 
+law-alike = These runs cannot distinguish it from: { $others }.
 law-axis-depth_share = height in the panel, as a share of its thickness
 law-axis-load_share = pressure, as a share of its reference
 law-axis-temperature_C = temperature [°C]
@@ -1035,6 +1036,7 @@ law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumF
         [hotter] hotter
        *[cooler] cooler
     }.
+law-found = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-heading = What is missing, without a name
 law-kind-conductivity = factor on the conductivity of the panel
 law-kind-contact = factor on the closed contacts of the panel
@@ -1045,9 +1047,7 @@ law-kind-contact_upper = factor on the closed contact of the upper face
 law-kind-heat = heat consumed as the panel warms up, not returned on cooling
 law-kind-heat_exchange = heat lost to the room per volume
 law-none = No free law: none is sure to improve runs left out.
-law-not-told-from = These runs cannot distinguish it from: { $others }.
 law-resembles = Within its band it agrees with the curve of a known cause: { $cause }.
-law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-variable-depth_share = height in the panel (0 below, 1 above)
 law-variable-load_share = pressure as a share of its reference
 law-variable-temperature_C = temperature in °C
@@ -1402,8 +1402,8 @@ report-at-core = At the core: { $core }
 report-bold-better = W/m²K, ± half the 95 % interval. Bold: much better known together than alone.
 report-bold-excludes = Bold: the 95 % interval excludes no change.
 report-candidates = All candidates
-report-cannot-tell = These runs cannot distinguish the causes. What can:
 report-cause = cause
+report-causes-alike = These runs cannot distinguish the causes. What can:
 report-chance = chance that it is luck
 report-change = change of the coefficient
 report-coefficient = coefficient
@@ -1753,13 +1753,13 @@ terminal-probe-nothing-known = { $place }: no known logger reads room temperatur
 terminal-probe-reading = { $meaning }: { $percent } % at room temperature: { $values }
 terminal-probe-reads-as-well = fits equally well: { $profiles }; look at the device's label
 terminal-probe-registers = station { $station }, function { $function }: registers from 0, read as
-terminal-program-cannot-tell =
+terminal-program-key-twice = --program { $setting }: { $key } is given twice; a program has one value of it
+terminal-program-no-number = --program { $setting }: '{ $value }' is no number
+terminal-program-not-known =
     { $runs ->
         [one] --program: one run cannot show what { $settings } does; give at least 8 runs that differ in it (6 where only one setting varies)
        *[other] --program: { $runs } runs cannot show what { $settings } does; give at least 8 runs that differ in it (6 where only one setting varies)
     }
-terminal-program-key-twice = --program { $setting }: { $key } is given twice; a program has one value of it
-terminal-program-no-number = --program { $setting }: '{ $value }' is no number
 terminal-program-out-of-range = --program { $setting }: must lie between 0 and { $most } { $unit }
 terminal-program-unknown-key = --program { $setting }: must be KEY=VALUE with KEY one of { $known }
 terminal-progress-advising = Trying programs

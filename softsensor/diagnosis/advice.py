@@ -76,13 +76,13 @@ def notes(
     for run, found in zip(runs, faults, strict=True):
         for f in found:
             spoilt.setdefault((f.column, f.kind), []).append((run.name, f.departure_K))
-    said = []
+    remarks = []
     for (column, kind), where in sorted(spoilt.items()):
         worst = max(size for _, size in where)
         if len(where) == 1:
-            said.append(say("note-channel", run=where[0][0], column=column, kind=kind, kelvin=worst))
+            remarks.append(say("note-channel", run=where[0][0], column=column, kind=kind, kelvin=worst))
         else:
-            said.append(
+            remarks.append(
                 say(
                     "note-channel-in-runs",
                     count=len(where),
@@ -93,7 +93,7 @@ def notes(
                 )
             )
     refuted = dict.fromkeys(name for r in rounds for name in r.refuted)
-    return (*said, *(say("note-refuted-by-cores", cause=called(name)) for name in refuted))
+    return (*remarks, *(say("note-refuted-by-cores", cause=called(name)) for name in refuted))
 
 
 def rim_notes(falls: Array) -> tuple[Message, ...]:

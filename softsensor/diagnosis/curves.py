@@ -90,9 +90,9 @@ def _marks(plain: SettledModel, run: int) -> list[dict[str, Any]]:
         rows = inside(digest, p.phase, p.from_s, p.to_s)
         if p.signal in digest.signals and rows.any():
             times, half = digest.time[rows], digest.width[rows] / 2
-            said = temperatures(where_row(p, [digest])).to_json()
+            message = temperatures(where_row(p, [digest])).to_json()
             ends = {"from_s": float(times[0] - half[0]), "to_s": float(times[-1] + half[-1])}
-            found.append({"place": p.signal, **ends, "said": said})
+            found.append({"place": p.signal, **ends, "said": message})
     return found
 
 

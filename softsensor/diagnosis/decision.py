@@ -1,6 +1,6 @@
 """The rules by which a diagnosis names a cause or does not: two pure functions of evidence, numbers beside them.
 
-`choose` is asked after every search: it takes a further cause into the model, with all that these runs cannot tell
+`choose` is asked after every search: it takes a further cause into the model, with all that these runs cannot show
 from it, or says why it stops; `explains_the_rest` says whether it stays. `conclude` is asked at the end and gives
 the verdict, from three questions:
 
@@ -50,7 +50,7 @@ CORE_RATIO, CORE_K = 1.5, 0.5
 """Core thermocouples refute a model that is further off than another by this factor and so many kelvins in every
 run that has one. Set by hand, above what one is off of its own (`signals.instrument.BURIED_K`)."""
 SURE_T = 2.2
-"""Standard errors over runs by which a rival gains less before it is told apart; about Student's two-sided 5 % for
+"""Standard errors over runs by which a rival gains less before it is set apart; about Student's two-sided 5 % for
 twelve runs (2.20)."""
 NEAR = 0.5
 """A rival saves this share of what the best one saves, or is out of its set. Set by hand."""
@@ -153,7 +153,7 @@ class Choice:
 
     step: Step
     set: tuple[str, ...] = ()
-    """The chosen cause first, then what these runs cannot tell from it."""
+    """The chosen cause first, then what these runs cannot distinguish from it."""
     strongest: str = ""
     """What the gains alone would choose, before rim and cores are asked."""
     refuted: tuple[str, ...] = ()
@@ -214,13 +214,15 @@ def explains_the_rest(before: float, after: float) -> bool:
 
 
 def _what_fits_as_well(evidence: Evidence, best: Claim) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the best cause with those these runs cannot tell from it, and the causes that cores refute.
+    """Return the best cause with those these runs cannot distinguish from it, and the causes that cores refute.
 
     The measuring chain comes first: it is settled with least effort, bends coefficients most, and leaves the core
     alone. Rim sensors settle a set for the rim, core thermocouples make it smaller.
     """
     rivals = [c for c in evidence.claims if c is not best and c.saved > NEAR * best.saved]
-    rivals = [c for c in rivals if c.size >= SMALLEST_SIZE / 2 and c.saves.sum() > 0 and not told_apart(best, c)]
+    rivals = [
+        c for c in rivals if c.size >= SMALLEST_SIZE / 2 and c.saves.sum() > 0 and not clearly_better(best, c)
+    ]
     near = [best, *sorted(rivals, key=lambda c: -c.saved)[: LARGEST_SET - 1]]
     near.sort(key=lambda c: not (c.measuring and not objections(c, evidence)))
     rim = [c for c in near if c.at_the_rim]
@@ -244,7 +246,7 @@ def refuted_by_cores(errors: Array, better: Array) -> bool:
     return bool(((e > CORE_RATIO * b) & (e > b + CORE_K)).all())
 
 
-def told_apart(best: Claim, other: Claim) -> bool:
+def clearly_better(best: Claim, other: Claim) -> bool:
     """Return whether the runs prefer one cause to another beyond chance; few runs must all do so."""
     return bool(beyond_chance(best.saves - other.saves))
 
@@ -309,7 +311,7 @@ class Remains:
     times_noise: float
     """Its residual over what noise leaves."""
     described: bool
-    """Not so far off that nothing can be said."""
+    """Not so far off that no statement can be made."""
     panels_as_given: bool = True
     """The middle of the panels that it needs is as near to those given as panels are."""
     panels_alike: bool = True

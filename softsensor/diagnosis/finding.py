@@ -41,7 +41,7 @@ class Finding:
 
     name: str
     set: tuple[str, ...]
-    """With the causes these runs cannot tell from it; one that is named beside it is no alternative to it."""
+    """With causes these runs cannot distinguish from it; one named beside it is no alternative to it."""
     parameters: dict[str, Interval]
     p_value: float
     gain: Gain
@@ -117,9 +117,9 @@ class Diagnosis:
     def __repr__(self) -> str:
         """Return on one screen the verdict, the causes named and suspected, and the residual. [K]"""
         head = f"Diagnosis: {self.verdict}, {self.base.rmse_K:.2f} K before, {self.extended.rmse_K:.2f} K after"
-        told = [f"named: {f.name}, p = {f.p_value:.2g}" for f in self.findings]
-        told += [f"suspected: {f.name}, p = {f.p_value:.2g}" for f in self.suspected]
-        return "\n".join([head, *lines_of(told)])
+        lines = [f"named: {f.name}, p = {f.p_value:.2g}" for f in self.findings]
+        lines += [f"suspected: {f.name}, p = {f.p_value:.2g}" for f in self.suspected]
+        return "\n".join([head, *lines_of(lines)])
 
     @property
     def final(self) -> SettledModel:

@@ -12,7 +12,7 @@ what the coefficients have taken upon themselves to hide the cause. Nothing here
 model, that is the diagnosis' business: chances and sizes only make the band as wide as it has to be.
 
 Chances (2026-11-21): directions are finite differences at one size and single causes only, so causes that
-explain nearly as much as the best are not told apart: their chance falls by a factor e for each `BLUR` share
+explain nearly as much as the best are not distinguished: their chance falls by a factor e for each `BLUR` share
 of the best gain that they fall short.
 
 The numbers below were set by hand in 2026-11, so that the live sensor's band holds what it promises on virtual
@@ -162,7 +162,7 @@ def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | 
 
 
 def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses | None:
-    """Return what is said of runs the model describes none of: no cause takes anything of what is left."""
+    """Return the chances for runs the model describes none of: no cause takes anything of what is left."""
     known = [kelvins for kelvins in left if math.isfinite(kelvins)]
     if seen is None or not known:
         return seen

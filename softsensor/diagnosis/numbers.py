@@ -113,12 +113,14 @@ def intervals_of_models(fits: Sequence[SharedFit], effect: Effect) -> dict[str, 
     it and the one without both stand.
     """
     first, *others = (intervals(fit, effect) for fit in fits)
-    return {name: _widened(told, [other[name] for other in others]) for name, told in first.items()}
+    return {name: _widened(interval, [other[name] for other in others]) for name, interval in first.items()}
 
 
-def _widened(told: Interval, others: Sequence[Interval]) -> Interval:
-    ends = [one.ci95 for one in (told, *others) if one.ci95 is not None]
-    return replace(told, ci95=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else told
+def _widened(interval: Interval, others: Sequence[Interval]) -> Interval:
+    ends = [one.ci95 for one in (interval, *others) if one.ci95 is not None]
+    return (
+        replace(interval, ci95=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else interval
+    )
 
 
 def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Sequence[RunState]) -> Errors:

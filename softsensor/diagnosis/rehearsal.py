@@ -109,7 +109,7 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a rehearsed campaign's diagnosis said."""
+    """What a rehearsed campaign's diagnosis named."""
 
     hidden: Hidden
     number: int

@@ -74,7 +74,7 @@ class Shown:
 def run_scores(model: ThermalModel, press: Press, runs: Sequence[Run]) -> dict[str, Shown]:
     """Return what runs show of the causes they can say something about, by way.
 
-    They are fitted together, which tells how they scatter.
+    They are fitted together, which shows how they scatter.
 
     Raises
     ------

@@ -44,7 +44,7 @@ FAR_OFF = 1.15
 """Cost per reading above which every candidate is fitted, whatever its secant promises."""
 SWITCHED = ("closed_s", "opened_s")
 CLOCK_ERROR_S = 0.04
-"""What no campaign can tell from a clock: skew within a scan, and where in its ramp a switch trips. By hand,
+"""What no campaign can separate from a clock: skew within a scan, and where in its ramp a switch trips. By hand,
 2026-11. [s]"""
 HELD_S = 0.005
 """A moment known so well is held. [s]"""

@@ -73,7 +73,7 @@ def cool_rim(falls: Array) -> bool:
 
 
 def search_all(
-    base: SettledModel, effects: Sequence[str] | None, tell: Progress, rim_is_cool: bool
+    base: SettledModel, effects: Sequence[str] | None, report: Progress, rim_is_cool: bool
 ) -> tuple[list[SettledModel], list[Round]]:
     """Search cause after cause; return the fits, plain model first, and what each search found.
 
@@ -90,7 +90,7 @@ def search_all(
         ]
         if not pool:
             break
-        found = search(stage, pool, _counted(tell, len(rounds), len(pool)))
+        found = search(stage, pool, _counted(report, len(rounds), len(pool)))
         rounds.append(judge(stage, found, replace(before, causes=len(rounds))))
         chosen = rounds[-1].chosen
         if chosen is None:
@@ -106,14 +106,14 @@ def search_all(
     return stages, rounds
 
 
-def _counted(tell: Progress, causes: int, size: int) -> Callable[[str], None]:
+def _counted(report: Progress, causes: int, size: int) -> Callable[[str], None]:
     """Return what reports each candidate of a search by its name and the share done."""
     done = 0
 
     def note(name: str) -> None:
         nonlocal done
         done += 1
-        tell(f"cause {causes + 1}: {name}", 0.05 + 0.28 * (causes + min(done / (size + 6), 1.0)))
+        report(f"cause {causes + 1}: {name}", 0.05 + 0.28 * (causes + min(done / (size + 6), 1.0)))
 
     return note
 

@@ -31,7 +31,7 @@ MOVES, MOVES_SD = 0.05, 2.0
 SLOPE_S = 5.0
 """Over so long before opening a core's rate is taken. [s] By hand."""
 LEAST_RATE = 0.02
-"""A core that warms more slowly is not said to gain by a longer pressing. By hand, 2026-11. [K/s]"""
+"""A core that warms more slowly gains nothing by a longer pressing. By hand, 2026-11. [K/s]"""
 LARGER_K, WORTH_SECONDS_K = 0.1, 0.2
 """At the core: a difference in the course of a run beyond that at opening, and one worth seconds. By hand. [K]"""
 SURE_P = 1e-4
@@ -69,7 +69,7 @@ def core_cost(less: SettledModel, more: SettledModel) -> CoreCost:
     return CoreCost(float(np.mean(kelvins)), sd, longer, float(np.mean(largest)))
 
 
-def verdict_said(found: Diagnosis) -> tuple[Message, ...]:
+def verdict_messages(found: Diagnosis) -> tuple[Message, ...]:
     """Say the verdict in a few sentences, and what is suspected."""
     suspected = tuple(called(f.name) for f in found.suspected)
     return (*_verdict_alone(found), *([say("verdict-suspected", causes=suspected)] if suspected else []))
@@ -87,10 +87,12 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
     if found.verdict is Verdict.NO_EFFECT:
         return (say("verdict-plain-model-explains", runs=runs, **residual),)
     if found.verdict is not Verdict.UNKNOWN_EFFECT:
-        return _causes_said(found)
+        return _cause_messages(found)
     if pattern_left(found.left, runs):
         return (
-            say("verdict-left-at", stretch=stretch_said(found.where[0])) if found.where else say("verdict-left"),
+            say("verdict-left-at", stretch=stretch_message(found.where[0]))
+            if found.where
+            else say("verdict-left"),
         )
     return (say(_without_a_pattern(found.left, times), runs=runs, **residual),)
 
@@ -104,18 +106,18 @@ def _without_a_pattern(left: Remains, times: float) -> str:
     return "verdict-something-beyond-chance" if left.panels_as_given else "verdict-panels-not-as-given"
 
 
-def _causes_said(found: Diagnosis) -> tuple[Message, ...]:
+def _cause_messages(found: Diagnosis) -> tuple[Message, ...]:
     faults = [f for f in found.findings if f.of_channels]
     causes = [f for f in found.findings if f not in faults]
-    said = [say("verdict-faulty-channels", columns=f.parameters["columns"].value) for f in faults]
-    said += [find_effect(f.name).meaning for f in causes if len(f.set) == 1]
-    said += [say("verdict-cannot-tell", causes=tuple(map(called, f.set))) for f in causes if len(f.set) > 1]
+    messages = [say("verdict-faulty-channels", columns=f.parameters["columns"].value) for f in faults]
+    messages += [find_effect(f.name).meaning for f in causes if len(f.set) == 1]
+    messages += [say("verdict-alike", causes=tuple(map(called, f.set))) for f in causes if len(f.set) > 1]
     runs = len(found.stages[0].data)
     if causes:
-        return (*said, *_fall(found, len(causes)))
+        return (*messages, *_fall(found, len(causes)))
     if runs < FEW_RUNS:
-        return (*said, say("verdict-few-runs-for-others", runs=runs))
-    return (*said, say("verdict-plain-model-explains-the-rest", runs=runs, rmse=found.base.rmse_K))
+        return (*messages, say("verdict-few-runs-for-others", runs=runs))
+    return (*messages, say("verdict-plain-model-explains-the-rest", runs=runs, rmse=found.base.rmse_K))
 
 
 def _fall(found: Diagnosis, causes: int) -> tuple[Message, ...]:
@@ -128,14 +130,14 @@ def _fall(found: Diagnosis, causes: int) -> tuple[Message, ...]:
     return (falls,)
 
 
-def law_said(found: Diagnosis) -> tuple[Message, ...]:
+def law_messages(found: Diagnosis) -> tuple[Message, ...]:
     """Say what is missing as a free function; nothing where there is no law."""
     law = found.law
     if law is None:
         return ()
     x, value = law.curve[:, 0], law.curve[:, 1]
-    said = say(
-        "law-told",
+    law_found = say(
+        "law-found",
         kind=say(f"law-kind-{law.kind}"),
         variable=say(f"law-variable-{law.variable}"),
         least=float(value.min()),
@@ -147,11 +149,11 @@ def law_said(found: Diagnosis) -> tuple[Message, ...]:
         before=found.extended.heldout_rmse_K,
     )
     others = tuple(say(f"law-kind-{kind}") for kind in law.set[1:])
-    alike = (say("law-not-told-from", others=others),) if others else ()
+    alike = (say("law-alike", others=others),) if others else ()
     known = (say("law-resembles", cause=called(law.resembles)),) if law.resembles else ()
     kelvin = core_cost(found.final, law.stage).kelvin
     changes = (_law_changes(x, value),) if law.unit == "-" else ()
-    return (said, *changes, say("law-core", **_shift(kelvin)), *alike, *known)
+    return (law_found, *changes, say("law-core", **_shift(kelvin)), *alike, *known)
 
 
 def _law_changes(x: Array, value: Array) -> Message:
@@ -162,7 +164,7 @@ def _law_changes(x: Array, value: Array) -> Message:
     return say("law-changes", begin=float(x[first]), end=float(x[last]), percent=abs(percent), change=change)
 
 
-def core_said(found: Diagnosis) -> tuple[Message, ...]:
+def core_messages(found: Diagnosis) -> tuple[Message, ...]:
     """Say what the verdict means for the core, and how far core thermocouples are from it."""
     before, after = found.base.core_rmse_K, found.extended.core_rmse_K
     if not found.final.fit.layout.model.press.panel_layers:
@@ -172,24 +174,24 @@ def core_said(found: Diagnosis) -> tuple[Message, ...]:
         return say("core-unchanged"), known
     cost = core_cost(found.stages[0], found.final)
     opens = _opens(found.final)
-    said = [say("core-shift", at=_moment(opens), **_shift(cost.kelvin), sd=cost.kelvin_sd)]
+    messages = [say("core-shift", at=_moment(opens), **_shift(cost.kelvin), sd=cost.kelvin_sd)]
     if abs(cost.largest) > abs(cost.kelvin) + LARGER_K:
-        said.append(say("core-largest-shift", **_shift(cost.largest)))
+        messages.append(say("core-largest-shift", **_shift(cost.largest)))
     if opens and np.isfinite(cost.seconds) and abs(cost.kelvin) > WORTH_SECONDS_K:
         longer = "longer" if cost.seconds > 0 else "shorter"
-        said.append(say("core-press-time", seconds=abs(cost.seconds), change=longer))
+        messages.append(say("core-press-time", seconds=abs(cost.seconds), change=longer))
     if before is not None and after is not None:
-        said.append(say("core-thermocouples", before=before, after=after))
-    return tuple(said)
+        messages.append(say("core-thermocouples", before=before, after=after))
+    return tuple(messages)
 
 
-def where_said(found: Diagnosis) -> tuple[Message, ...]:
+def where_message(found: Diagnosis) -> tuple[Message, ...]:
     """Say where and when the plain model is most kelvins off, and at which temperatures."""
-    stretches = [stretch_said(row) for row in found.where[:3]]
+    stretches = [stretch_message(row) for row in found.where[:3]]
     return tuple(say("where-further" if i else "where-most", stretch=s) for i, s in enumerate(stretches))
 
 
-def stretch_said(row: dict[str, Any]) -> Message:
+def stretch_message(row: dict[str, Any]) -> Message:
     """Say where, when and by how much a model is off (a row of `Diagnosis.where`)."""
     off: dict[str, Argument] = {
         "kelvin": abs(row["residual_K"]),

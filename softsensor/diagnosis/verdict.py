@@ -17,7 +17,7 @@ The method and why it is so:
 4. Two rules decide (`decision`). The best candidate is taken in if its p-value holds, if runs left out gain by it
    with an interval above nothing, if its size is physical, core thermocouples do not speak against it, and beside
    a cause taken in before, if it explains what that one leaves beyond noise (`EXPLAINED_FURTHER`): else that
-   one's law is off. Candidates that the runs do not tell from it form its `set`; core thermocouples, which no fit
+   one's law is off. Candidates that fit the runs as well form its `set`; core thermocouples, which no fit
    sees, make it smaller. Within a set the measuring chain comes first.
 5. The same again on top of the extended model, for a second and third cause. A second cause is then tried
    alone, since where the plain model is far off a cause may not have found its way, and others are tried
@@ -116,7 +116,7 @@ def diagnose(
     runs
         Measured runs, in any order: they are worked on in the order of their names.
     progress
-        Told what is being done and the share done.
+        Called with what is being done and the share done.
     effects
         Candidates; by default the whole catalogue.
     law
@@ -128,20 +128,20 @@ def diagnose(
         For no run, one that does not fit the press, or a candidate the catalogue does not hold.
     """
     began = time.perf_counter()
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     for name in effects or ():
         find_effect(name)
     if not runs:
         raise InputError(say("diagnosis-no-runs"))
-    tell("reading runs", 0.0)
+    report("reading runs", 0.0)
     readings, digests = _screened(press, sorted(runs, key=lambda r: r.name))
-    tell("plain model", 0.03)
+    report("plain model", 0.03)
     base = settle_base(ThermalModel(press), digests)
-    stages, rounds = search_all(base, effects, tell, cool_rim(readings.rim))
-    tell("what is left", 0.9)
+    stages, rounds = search_all(base, effects, report, cool_rim(readings.rim))
+    report("what is left", 0.9)
     found = _conclude(readings, stages, rounds)
     if law or (law is None and found.verdict is Verdict.UNKNOWN_EFFECT):
-        tell("law", 0.95)
+        report("law", 0.95)
         found = replace(found, law=free_law(found.final))
     return replace(found, seconds=round(time.perf_counter() - began, 3))
 
@@ -197,7 +197,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     conclusion = conclude(basis)
     named = conclusion.named
     suspected = causes[named:] + nearly
-    findings = _sensor_findings(faults, columns) + _told(causes[:named], models[named:])
+    findings = _sensor_findings(faults, columns) + _with_wider_intervals(causes[:named], models[named:])
     to_confirm = () if something_left(basis.remains[named], len(runs)) else suspected
     base, extended = errors[0], errors[named]
     seen = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
@@ -368,7 +368,7 @@ def _with_the_suspected(stages: Sequence[SettledModel], rounds: Sequence[Round])
     return () if suspected is None else (extend(stages[-1], suspected),)
 
 
-def _told(causes: Sequence[Finding], models: Sequence[SharedFit]) -> tuple[Finding, ...]:
+def _with_wider_intervals(causes: Sequence[Finding], models: Sequence[SharedFit]) -> tuple[Finding, ...]:
     """Return named causes with intervals that hold whether what is suspected beside them is there or not."""
     return tuple(replace(f, parameters=intervals_of_models(models, find_effect(f.name))) for f in causes)
 
@@ -423,7 +423,7 @@ def _where(plain: SettledModel) -> tuple[dict[str, Any], ...]:
 def _candidate_rows(
     rounds: list[Round], stages: list[SettledModel], found: Sequence[Finding]
 ) -> tuple[dict[str, Any], ...]:
-    """Return what each cause had to show; one that is named or suspected saves what is said of it there.
+    """Return what each cause had to show; one that is named or suspected saves what its finding states.
 
     The others were not settled: theirs is what the search's fit of them alone saves.
     """

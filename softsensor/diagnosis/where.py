@@ -86,7 +86,7 @@ def where_row(p: Pocket, digests: Sequence[Digest]) -> dict[str, Any]:
             low.append(float(here.min()))
             high.append(float(here.max()))
         goes_on |= bool(inside(d, p.phase, p.to_s, np.inf).any())
-    phase = _phase_said(p.phase, closes)
+    phase = _phase_message(p.phase, closes)
     return {
         "signal": p.signal,
         "state": "closed" if p.phase is Phase.CLOSED else "open",
@@ -100,7 +100,7 @@ def where_row(p: Pocket, digests: Sequence[Digest]) -> dict[str, Any]:
     }
 
 
-def _phase_said(phase: Phase, closes: bool) -> Message:
+def _phase_message(phase: Phase, closes: bool) -> Message:
     if phase is Phase.OPEN:
         return say("phase-before-closing") if closes else say("phase-since-run-began")
     return say("phase-closed") if phase is Phase.CLOSED else say("phase-after-opening")

@@ -131,7 +131,7 @@ def _add(effects: dict[str, Effect], effect: Effect, name: str) -> None:
 
 
 SPOKEN = ("called", "meaning", "symptom", "confirmed-by", "core")
-"""What is said of every effect; each parameter is said beside it."""
+"""The texts of every effect; each parameter's stand beside it."""
 
 
 def learn_words(effect: Effect) -> None:

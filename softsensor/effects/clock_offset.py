@@ -22,7 +22,7 @@ EFFECT = Effect(
             lower=-3.0,
             upper=3.0,
             source="two loggers, two clocks",
-            told=(1.0, "s"),
+            shown_as=(1.0, "s"),
         ),
     ),
     terms=_terms,

@@ -36,7 +36,7 @@ EFFECT = Effect(
             upper=10.0,
             source="worn plates, one-sided paper",
             least=0.001,
-            told=(1.0, "unit-times-the-lower-contact"),
+            shown_as=(1.0, "unit-times-the-lower-contact"),
         ),
     ),
     terms=_terms,

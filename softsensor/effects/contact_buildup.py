@@ -46,7 +46,7 @@ EFFECT = Effect(
             upper=0.98,
             source="share of the contact still missing at closing",
             most=1.0,
-            told=(100.0, "%"),
+            shown_as=(100.0, "%"),
         ),
         Parameter(
             name="time_constant_s",

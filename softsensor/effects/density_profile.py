@@ -31,7 +31,7 @@ EFFECT = Effect(
             spread=0.25,
             least=-1.2,
             most=4.9,
-            told=(100.0, "unit-percent-of-mean"),
+            shown_as=(100.0, "unit-percent-of-mean"),
         ),
     ),
     terms=_terms,

@@ -164,7 +164,7 @@ class Need(StrEnum):
     PANEL = "panel"
     """A press with a panel."""
     SWITCH = "closed"
-    """A ``closed`` column: a wire that tells when the press is closed."""
+    """A ``closed`` column: a wire that shows when the press is closed."""
     LOAD = "load"
     """Pressings at several pressures, or a load that changes within one."""
 

@@ -63,7 +63,7 @@ LENGTH = 1.3
 EARLY_S = 2.0
 """Time counts as its logarithm from here on: a contact changes most at first (by hand, 2026-11). [s]"""
 HEAT_UNIT = 1e3
-"""From what a law of heat is told in. [J/m³K per kJ/m³K]"""
+"""From the unit in which a law of heat is shown. [J/m³K per kJ/m³K]"""
 STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
 LEAST_LOAD, MOST_LOAD = "least_load", "most_load"
 REFERENCE = 0.0
@@ -74,7 +74,7 @@ VALUE = "value"
 """Of each knot, with its number."""
 
 Function = Callable[[Any], Any]
-"""A smooth function of places (places), in what the kind is told in; plain algebra, complex numbers go through."""
+"""A smooth function of places (places), in the kind's own unit; plain algebra, complex numbers go through."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ EFFECT = Effect(
             source="board moisture 5 to 12 %",
             spread=0.25,
             least=0,
-            told=(1.0, "unit-percent-of-dry-mass"),
+            shown_as=(1.0, "unit-percent-of-dry-mass"),
             sd=2.0,
         ),
         Parameter(

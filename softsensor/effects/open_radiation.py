@@ -24,7 +24,7 @@ EFFECT = Effect(
             source="MDF 0.9 against steel 0.1 to 0.8",
             least=0,
             most=1.0,
-            told=(1.0, ""),
+            shown_as=(1.0, ""),
         ),
     ),
     terms=_terms,

@@ -1,4 +1,4 @@
-"""A physical number with its unit, limits and source, and how people are told it."""
+"""A physical number with its unit, limits and source, and how it is shown to people."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Parameter:
     0: `sd` says."""
     fixed: bool = False
     """Whether it only says what the effect is, so that nothing searches or doubts it."""
-    told: tuple[float, str] | None = None
-    """Factor and unit people are told it with, such as (100, "%"), a unit in words by its code in the catalogues
+    shown_as: tuple[float, str] | None = None
+    """Factor and unit it is shown with, such as (100, "%"), a unit in words by its code in the catalogues
     (``unit-times-nominal``); None: the value itself with `unit`."""
 
     @property
@@ -71,23 +71,27 @@ class Parameter:
 
     @property
     def factor(self) -> float:
-        """Factor people are told it with."""
-        return 1.0 if self.told is None else self.told[0]
+        """Factor it is shown with."""
+        return 1.0 if self.shown_as is None else self.shown_as[0]
 
     @property
-    def told_unit(self) -> Message:
-        """Unit people are told it with; no text where `unit` is a dash."""
-        unit = self.unit.strip("-") if self.told is None else self.told[1]
+    def shown_unit(self) -> Message:
+        """Unit it is shown with; no text where `unit` is a dash."""
+        unit = self.unit.strip("-") if self.shown_as is None else self.shown_as[1]
         return Message(unit) if unit.startswith("unit-") else say("plain-text", text=unit)
 
 
 def ratio_to_nominal(source: str) -> Parameter:
     """Return the parameter of a constant of the panel that is not the nominal one."""
-    told = (1.0, "unit-times-nominal")
-    return Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, source, spread=0.25, least=0.01, told=told)
+    shown = (1.0, "unit-times-nominal")
+    return Parameter(
+        "ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, source, spread=0.25, least=0.01, shown_as=shown
+    )
 
 
 def change_per_100_K(source: str) -> Parameter:  # noqa: N802 - kelvin
     """Return the parameter of a constant of the panel that changes with temperature."""
-    told = (100.0, "unit-percent-of-value-at-20-degrees")
-    return Parameter("per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, source, spread=0.25, told=told)
+    shown = (100.0, "unit-percent-of-value-at-20-degrees")
+    return Parameter(
+        "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, source, spread=0.25, shown_as=shown
+    )

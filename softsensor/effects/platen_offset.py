@@ -22,7 +22,7 @@ EFFECT = Effect(
             lower=-15.0,
             upper=15.0,
             source="class 1: 1.5 K, plus mounting",
-            told=(1.0, "K"),
+            shown_as=(1.0, "K"),
         )
         for end in ("top", "bottom")
     ),

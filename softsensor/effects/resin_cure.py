@@ -46,7 +46,7 @@ EFFECT = Effect(
             source="80-130 g/m² x 50-150 J/g",
             spread=0.25,
             least=0,
-            told=(1.0, "unit-kilojoule-per-face"),
+            shown_as=(1.0, "unit-kilojoule-per-face"),
         ),
     ),
     terms=_terms,

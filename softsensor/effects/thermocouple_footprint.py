@@ -24,7 +24,7 @@ EFFECT = Effect(
             source="wire 0.2 to 0.5 mm in the joint",
             least=0,
             most=1.0,
-            told=(100.0, "%"),
+            shown_as=(100.0, "%"),
         ),
     ),
     terms=_terms,

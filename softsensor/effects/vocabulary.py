@@ -50,12 +50,12 @@ class ShownParameter:
     def line(self) -> Message:
         """All of it in one line of text."""
         amount = say("parameter-amount", value=self.value, unit=self.unit) if str(self.unit) else self.value
-        told = say("parameter-told", words=self.words, name=self.name, amount=amount)
-        return told if self.between is None else say("parameter-told-within", told=told, between=self.between)
+        line = say("parameter-line", words=self.words, name=self.name, amount=amount)
+        return line if self.between is None else say("parameter-line-within", line=line, between=self.between)
 
 
 def parameters_shown(effect: str, values: Mapping[str, Mapping[str, Any]]) -> list[ShownParameter]:
-    """Return an effect's parameters as people are told them.
+    """Return an effect's parameters as they are shown to people.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def parameters_shown(effect: str, values: Mapping[str, Mapping[str, Any]]) -> li
             continue
         factor, words, unit = 1.0, plain_name, no_unit
         if own is not None and name in known:
-            factor, unit = known[name].factor, known[name].told_unit
+            factor, unit = known[name].factor, known[name].shown_unit
             words = own.parameter_called(name)
         ends = None if ci95 is None else [factor * float(end) for end in ci95]
         between = None if ends is None else say("parameter-interval", low=ends[0], high=ends[1])
@@ -127,7 +127,7 @@ def layer_words(part: str) -> Message:
 
 
 def coefficient_words(press: Press, name: str) -> Message:
-    """Return between what, and when, a heat transfer coefficient of this press acts; no text where nothing tells.
+    """Return between what, and when, a heat transfer coefficient of this press acts; no text if unknown.
 
     Of ``plate_bottom`` and ``plate_top`` both are called plate, since one coefficient mostly serves both.
     """

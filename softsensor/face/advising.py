@@ -21,7 +21,7 @@ from softsensor.planning.advise import DEFAULT_RANGES, PRESSURE, Goal, Programme
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
 from softsensor.planning.program import given_ranges
-from softsensor.planning.summary import advice_said
+from softsensor.planning.summary import advice_messages
 from softsensor.planning.wishes import OPEN_S, PRICE, WAITING_S
 
 if TYPE_CHECKING:
@@ -61,14 +61,14 @@ class AdviceResult:
 
     def __repr__(self) -> str:
         """Say the answer, what it costs, and what to measure to press shorter."""
-        return "\n".join(map(str, advice_said(self.advised)))
+        return "\n".join(map(str, advice_messages(self.advised)))
 
     def _repr_html_(self) -> str:
-        return lines_html(advice_said(self.advised))
+        return lines_html(advice_messages(self.advised))
 
 
 USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
-"""What is advised on where nothing is said of the panel; the answer names it."""
+"""What is advised on where nothing is stated of the panel; the answer names it."""
 
 
 def advise(  # noqa: PLR0913 - one argument a wish

@@ -15,7 +15,7 @@ from daq.records import with_frozen_fields
 from daq.words import say
 from daq.words.message import chosen
 from softsensor.diagnosis.finding import Diagnosis
-from softsensor.diagnosis.summary import verdict_said
+from softsensor.diagnosis.summary import verdict_messages
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.face.inputs import read_press, runs_of
 from softsensor.face.showing import UNKNOWN, shown, table_html
@@ -54,9 +54,9 @@ class DiagnosisResult:
         rows, content = [], self.content
         for effect in (*content["effects"], *content["suspected"]):
             common = (effect["p_value"], effect["heldout_gain_K"], effect in content["effects"])
-            for name, told in effect["parameters"].items():
-                low, high = told["ci95"] if isinstance(told, Mapping) and told.get("ci95") else (None, None)
-                value = told["value"] if isinstance(told, Mapping) else told
+            for name, entry in effect["parameters"].items():
+                low, high = entry["ci95"] if isinstance(entry, Mapping) and entry.get("ci95") else (None, None)
+                value = entry["value"] if isinstance(entry, Mapping) else entry
                 rows.append((effect["name"], name, value, low, high, *common))
         return pd.DataFrame(rows, columns=columns).set_index(["effect", "parameter"])
 
@@ -94,8 +94,8 @@ class DiagnosisResult:
     def _lines(self) -> list[str]:
         found = self.diagnosis
         residual = say("diagnosed-residual", base=found.base.rmse_K, extended=found.extended.rmse_K)
-        said = " ".join(map(str, verdict_said(found)))
-        return [f"{self.verdict}: {said}", str(residual), str(found.next_measurement)]
+        verdict = " ".join(map(str, verdict_messages(found)))
+        return [f"{self.verdict}: {verdict}", str(residual), str(found.next_measurement)]
 
 
 def diagnose(

@@ -100,7 +100,7 @@ class LiveSensor(ScanSensor):
         return self._newest
 
     def __repr__(self) -> str:
-        """Say which press it follows, and what it said at the newest scan."""
+        """Say which press it follows, and its newest estimate."""
         newest = [] if self._newest is None else [on_screen(self._newest)]
         return "\n".join([str(say("live-sensor-of-press", press=self._named)), *newest])
 

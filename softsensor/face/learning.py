@@ -20,7 +20,7 @@ from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
 from softsensor.face.showing import lines_html, shown
 from softsensor.opening.blisters import SteamLimit as Learned
-from softsensor.opening.blisters import believed_limit, learn_limit, limit_said
+from softsensor.opening.blisters import believed_limit, learn_limit, limit_messages
 from softsensor.opening.limits import Normal
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 DRAWN = np.linspace(0.0, 2.0, 81)[1:]
-"""Pressures at which the chance of a blister is told, over what half of the panels bear. By hand, 2026-11."""
+"""Pressures at which the chance of a blister is given, over what half of the panels bear. By hand, 2026-11."""
 
 
 class SteamLimit(Learned):
@@ -56,7 +56,7 @@ class SteamLimit(Learned):
         return json.dumps(self.as_json())
 
     def _repr_html_(self) -> str:
-        return lines_html(limit_said(self))
+        return lines_html(limit_messages(self))
 
 
 def learn_steam_limit(
@@ -75,7 +75,7 @@ def learn_steam_limit(
     Raises
     ------
     InputError
-        As `predict`; and where no marked run tells its panel's moisture and how its steam was at opening.
+        As `predict`; and where no marked run states its panel's moisture and shows its steam at opening.
 
     Examples
     --------
@@ -105,7 +105,7 @@ def learn_steam_limit(
 
 def _at_opening(run: AnyRun, press: AnyPress, model: AnyModel | None, resin: Resin | None) -> Normal:
     """Return ln of the steam's pressure at the last scan before the press opened, NaN where it is not known."""
-    said = predict(run, press, model, resin=resin).replayed.estimates
-    leave = next((one.leave for one in reversed(said) if one.state is PressState.CLOSED), None)
+    estimates = predict(run, press, model, resin=resin).replayed.estimates
+    leave = next((one.leave for one in reversed(estimates) if one.state is PressState.CLOSED), None)
     unknown = Normal(np.array(np.nan), np.array(np.nan))
     return unknown if leave is None or leave.panel is None else leave.panel.steam

@@ -55,6 +55,6 @@ def model_for(model: AnyModel, press: Press, header: Mapping[str, Any]) -> Model
     """
     found = read_model(model)
     place = say("place-model", version=found.version)
-    if (said := check_press(found, (press, overridden(press, header, place)), place)) is not None:
-        warn(said)
+    if (mismatch := check_press(found, (press, overridden(press, header, place)), place)) is not None:
+        warn(mismatch)
     return found

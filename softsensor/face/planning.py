@@ -17,7 +17,7 @@ from softsensor.face.showing import lines_html, shown
 from softsensor.planning.open_points import PointKind
 from softsensor.planning.plan import Plan
 from softsensor.planning.plan import plan as plan_after
-from softsensor.planning.summary import best_said, plan_said, point_said
+from softsensor.planning.summary import best_message, plan_messages, point_message
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,7 +50,7 @@ class PlanResult:
             for which in ("best", "with_core", "repeated"):
                 if (pressing := point[which]) is not None:
                     about = {"open": number, "kind": point["kind"], "name": point["name"], "pressing": which}
-                    told = {
+                    prospect = {
                         "worth_nats": pressing["worth"],
                         "chance": pressing["chance"],
                         "runs": pressing["runs"],
@@ -58,7 +58,7 @@ class PlanResult:
                     half = {
                         unit: pressing["half_interval"] if point["kind"] == kind else None for kind, unit in HALF
                     }
-                    rows.append(about | told | half | dict(pressing["settings"]))
+                    rows.append(about | prospect | half | dict(pressing["settings"]))
         index = ["open", "kind", "name", "pressing"]
         if not rows:
             return pd.DataFrame(columns=index).set_index(index)
@@ -78,12 +78,14 @@ class PlanResult:
     def __repr__(self) -> str:
         """Say what is open, and the best pressing for it; the notebook's view and the table hold the others."""
         points, shown_points = self.planned.points, LINES // 3  # a row for the point and two for its pressing
-        said = [one for advice in points[:shown_points] for one in (point_said(advice.point), best_said(advice))]
+        lines = [
+            one for advice in points[:shown_points] for one in (point_message(advice.point), best_message(advice))
+        ]
         more = [say("plan-more", count=len(points) - shown_points)] if len(points) > shown_points else []
-        return "\n".join(map(str, [*(said or plan_said(self.planned)), *more]))
+        return "\n".join(map(str, [*(lines or plan_messages(self.planned)), *more]))
 
     def _repr_html_(self) -> str:
-        return lines_html(plan_said(self.planned))
+        return lines_html(plan_messages(self.planned))
 
 
 def plan(

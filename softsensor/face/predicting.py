@@ -1,4 +1,4 @@
-"""The core as the live sensor would have said it of a run."""
+"""The core as the live sensor would have estimated it in a run."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Prediction:
-    """The core as the live sensor would have said it, scan by scan. [°C]"""
+    """The core as the live sensor would have estimated it, scan by scan. [°C]"""
 
     replayed: Replay
-    """The run and what was said at each of its scans, an `Estimate` each."""
+    """The run and an `Estimate` of each of its scans."""
 
     def frame(self) -> pd.DataFrame:
         """Return the columns of ``predict --out``, indexed by ``time_s``, the run's header in ``attrs``. [°C]"""

@@ -46,10 +46,10 @@ class Reproduction(Compared):
 
     def __repr__(self) -> str:
         """Show the combinations, and what the two curves say."""
-        return f"{self.frame().to_string(float_format='%.3g')}\n{self.said}"
+        return f"{self.frame().to_string(float_format='%.3g')}\n{self.message}"
 
     def _repr_html_(self) -> str:
-        return table_html(self.frame(), "%.3g") + lines_html([self.said])
+        return table_html(self.frame(), "%.3g") + lines_html([self.message])
 
 
 def reproduce(

@@ -4,7 +4,7 @@ Two answers stand side by side. The paper's: mean, standard deviation and 95 % i
 in which a coefficient is identifiable (Student's t, and a bootstrap over runs). And the joint one: every
 run's coefficients are drawn from one log-normal population whose median and spread are estimated together
 with them, so that a run which hardly shows a coefficient borrows it from the others. The joint one is what a
-model file holds. A run that the model does not describe (`RunFit.misfit`) is told and takes no part in either.
+model file holds. A run that the model does not describe (`RunFit.misfit`) is reported and takes no part in either.
 """
 
 from __future__ import annotations
@@ -92,17 +92,17 @@ class CampaignFit:
     def __repr__(self) -> str:
         """Return on one screen how many runs there are, and what they say of each coefficient. [W/m²K]"""
         head = f"Campaign on press {self.press.name}: {len(self.runs)} runs, {len(self.met)} of them described"
-        told = [f"{name} = {c}" for name, c in self.coefficients.items()]
-        return "\n".join([head, *lines_of(told)])
+        lines = [f"{name} = {c}" for name, c in self.coefficients.items()]
+        return "\n".join([head, *lines_of(lines)])
 
     @property
     def met(self) -> tuple[RunFit, ...]:
-        """The runs that the model describes; all that is said of the campaign rests on them."""
+        """The runs that the model describes; all statements on the campaign rest on them."""
         return tuple(f for f in self.runs if f.met)
 
     @property
     def shortfall(self) -> Message | None:
-        """What has to be said before all else: which runs the model does not describe; None where it does all."""
+        """What has to be reported first: which runs the model does not describe; None where it does all."""
         left = [(f.run, f.misfit) for f in self.runs if f.misfit is not None]
         if not left:
             return None
@@ -151,7 +151,7 @@ class CampaignFit:
         }
 
     def program(self, settings: Mapping[str, float]) -> Program | None:
-        """Return what a press program never run would be like, None where the runs cannot tell."""
+        """Return what a press program never run would be like, None where the runs cannot show it."""
         if self.dependence is None:
             return None
         tables = {n: self.press.coefficient(n) for n in self.coefficients}
@@ -254,13 +254,13 @@ def _with_shared(fitted: RunFit, same: Mapping[str, CampaignCoefficient]) -> Run
     """Return a run's fit with the one value of each coefficient that all runs share, where it is described."""
     if not fitted.met or not same:
         return fitted
-    told = {}
+    shared = {}
     for name, c in same.items():
         e = shared_estimate(c)
         reason = say("fit-shared" if c.runs else "fit-shared-unknown")
-        told[name] = Coefficient(e.value, e.sd, c.median_ci95, c.runs > 0, Identifiability.SHARED, reason)
+        shared[name] = Coefficient(e.value, e.sd, c.median_ci95, c.runs > 0, Identifiability.SHARED, reason)
     notes = tuple(w for w in fitted.warnings if not is_verdict_on(w, same))
-    return replace(fitted, coefficients={**fitted.coefficients, **told}, warnings=notes)
+    return replace(fitted, coefficients={**fitted.coefficients, **shared}, warnings=notes)
 
 
 def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float, float]:

@@ -152,7 +152,7 @@ def _moved(given: Any, change: float) -> Any:
 def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, ConstantFit]:
     """Return what a run says about its constants: one Gauss-Newton step from the end of the search, all free.
 
-    `spread` is how much larger the whitened residuals are than the noise model says: what the readings tell
+    `spread` is how much larger the whitened residuals are than the noise model says: what the readings show
     counts for so much less (squared) beside the priors, for a constant's value as for its standard deviation, or
     the two together would be no one's knowledge and `scatter_of` could not take the prior out again.
     """

@@ -96,8 +96,11 @@ class Program:
             name: {"value": e.value, "sd": e.sd, "ci95": list(self.intervals[name])}
             for name, e in self.coefficients.items()
         }
-        said = {"remarks": [words(r) for r in self.remarks], "remarks_said": [r.to_json() for r in self.remarks]}
-        return {"settings": dict(self.settings), "coefficients": table, **said}
+        remarks = {
+            "remarks": [words(r) for r in self.remarks],
+            "remarks_said": [r.to_json() for r in self.remarks],
+        }
+        return {"settings": dict(self.settings), "coefficients": table, **remarks}
 
 
 @dataclass(frozen=True)

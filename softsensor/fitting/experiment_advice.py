@@ -110,7 +110,7 @@ def _named(unknown: str) -> Message | str:
 
 
 def apart(fitted: RunFit, partner: str, role: CoefficientRole, company: Company) -> Message:
-    """Return the measurement that tells a coefficient from the unknown it moves together with."""
+    """Return the measurement that separates a coefficient from the unknown it moves together with."""
     kind, _, place = partner.partition(":")
     own = role.beside or role.record
     if kind in (PlaceUnknown.SKEW, *TIMINGS):

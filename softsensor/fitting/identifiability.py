@@ -30,7 +30,7 @@ NARROW = 0.5
 WIDE = float(np.log(4.0))
 """An interval whose ends differ by more than four times is no knowledge to build on, even if both are closed."""
 SETTLED = 0.3
-"""Where the other unknowns still promise less than this, one Gauss-Newton step tells where they would end."""
+"""Where the other unknowns still promise less than this, one Gauss-Newton step shows where they would end."""
 NEAR_RISE = 0.15
 """A point whose rise is so near to the one looked for, as a share, is the end: 7 % of the interval's width."""
 FURTHER, LEAST_STEP, BETWEEN = 1.5, 0.5, (0.1, 0.9)
@@ -58,15 +58,15 @@ def held_against(fitted: RunFit, own: RunFit) -> RunFit:
     """
     coefficients, notes = dict(fitted.coefficients), []
     for name, c in fitted.coefficients.items():
-        told = own.coefficients[name]
-        low, high = told.ci95
-        if told.verdict is Identifiability.FIXED:
+        judged = own.coefficients[name]
+        low, high = judged.ci95
+        if judged.verdict is Identifiability.FIXED:
             continue
         if c.ci95[1] < low or c.ci95[0] > high:
             notes.append(say("fit-outside-allowed", name=name, value=c.value, low=low, high=high))
-        ends = c.ci95 if told.identifiable else (min(low, c.value), max(high, c.value))
+        ends = c.ci95 if judged.identifiable else (min(low, c.value), max(high, c.value))
         coefficients[name] = replace(
-            c, ci95=ends, identifiable=told.identifiable, verdict=told.verdict, reason=told.reason
+            c, ci95=ends, identifiable=judged.identifiable, verdict=judged.verdict, reason=judged.reason
         )
     notes += verdict_notes(coefficients)
     left, first, best = fitted.rmse_still_K, fitted.initial_rmse_still_K, own.rmse_still_K
@@ -81,7 +81,7 @@ def held_against(fitted: RunFit, own: RunFit) -> RunFit:
 def verdict_notes(coefficients: Mapping[str, Coefficient]) -> list[Message]:
     """Say of each coefficient the run does not determine why."""
     return [
-        say("fit-coefficient-unknown", name=name, verdict=c.verdict.said, reason=c.reason)
+        say("fit-coefficient-unknown", name=name, verdict=c.verdict.message, reason=c.reason)
         for name, c in coefficients.items()
         if c.verdict in (Identifiability.ONE_SIDED, Identifiability.NOT_IDENTIFIABLE) and c.reason is not None
     ]

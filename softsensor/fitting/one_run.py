@@ -67,7 +67,7 @@ moments have been fitted. [s, rows, s]"""
 PLACED_ROWS, RELAID_S = 0.1, 0.1
 """How well a fitted moment is known, and how far it moves until the steps are laid anew. [rows, s]"""
 SWITCHING_S = (1.0, 1.5)
-"""Before and after a switch no row tells of the slow noise: the model's ramps are not the press's. [s]"""
+"""Before and after a switch no row shows the slow noise: the model's ramps are not the press's. [s]"""
 
 
 def fit_run(
@@ -139,7 +139,7 @@ def make_problem(
 
 
 def _fit_by_the_paper(problem: Problem, method: str, company: Company) -> RunFit:
-    """Take the coefficients from one of the paper's procedures, and hold them against what the run can tell.
+    """Take the coefficients from one of the paper's procedures, and hold them against what the run can show.
 
     The paper adjusts coefficients at known moments. A switch or a detector knows them to half a row, which
     at a row a second is worth a factor in the closed contact, so they come from our own search. Verdicts come

@@ -46,7 +46,7 @@ def without_spikes(press: Press, run: Run) -> tuple[Run, list[Message]]:
     run
         Is not changed.
     """
-    columns, said = dict(run.columns), []
+    columns, found = dict(run.columns), []
     ends = (press.boundary.bottom, press.boundary.top)
     for name in dict.fromkeys(end.column for end in ends if end.column is not None):
         if name not in columns:
@@ -60,8 +60,8 @@ def without_spikes(press: Press, run: Run) -> tuple[Run, list[Message]]:
         if len(far):
             values[far] = np.nan
             columns[name] = values
-            said.append(say("fit-cells-jump", column=name, count=len(far), kelvin=SPIKE_K))
-    return (replace(run, columns=columns) if said else run), said
+            found.append(say("fit-cells-jump", column=name, count=len(far), kelvin=SPIKE_K))
+    return (replace(run, columns=columns) if found else run), found
 
 
 def _running_median(values: Array) -> Array:
@@ -79,7 +79,7 @@ def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
         As detected, before a fit refines them.
     """
     gaps = gaps_at_moments(case.run.time_s, moments, signals.period_s)
-    record = [f.said for f in signals.findings] + [g.said for g in gaps]
+    record = [f.message for f in signals.findings] + [g.message for g in gaps]
     loads = [spoken(remark) for remark in load_remarks(case.press, case.run)]
     return record + start_remarks(case, signals, moments) + loads
 
@@ -106,7 +106,7 @@ def start_remarks(case: Case, signals: Signals, moments: Moments) -> list[Messag
 
 
 def lost_insertion(case: Case, signals: Signals) -> Message | None:
-    """Say that insertion and closing fall into one gap, so that nothing tells how long the panel lay open.
+    """Say that insertion and closing fall into one gap, so that nothing shows how long the panel lay open.
 
     A detector that finds no insertion takes the first row. It is not there where the panel's lower face, which
     lies on the hot plate from the insertion on, stays cold until the gap.

@@ -51,7 +51,7 @@ class Identifiability(StrEnum):
     """One value in all runs, judged for all of them together."""
 
     @property
-    def said(self) -> Message:
+    def message(self) -> Message:
         """The verdict in words."""
         return say(f"fit-verdict-{self.value.replace(' ', '-')}")
 
@@ -72,7 +72,7 @@ class Coefficient:
     def __str__(self) -> str:
         """Return value and 95 % interval, or why there is none."""
         if not self.identifiable:
-            return f"– {self.reason or self.verdict.said}"
+            return f"– {self.reason or self.verdict.message}"
         value, low, high = (rounded(one, self.ci95) for one in (self.value, *self.ci95))
         return f"{value:g}, 95 % {low:g} to {high:g}"
 
@@ -137,8 +137,8 @@ class RunFit:
     def __repr__(self) -> str:
         """Return on one screen what is left of the readings [K], and what the run says of coefficients. [W/m²K]"""
         head = f"Fit of run {self.run}: {self.initial_rmse_K:.2f} K before, {self.rmse_K:.2f} K after"
-        told = [f"{name} = {c}" for name, c in self.coefficients.items()]
-        return "\n".join([head, *lines_of(told), *map(str, () if self.misfit is None else (self.misfit,))])
+        lines = [f"{name} = {c}" for name, c in self.coefficients.items()]
+        return "\n".join([head, *lines_of(lines), *map(str, () if self.misfit is None else (self.misfit,))])
 
     @property
     def met(self) -> bool:

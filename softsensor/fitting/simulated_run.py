@@ -53,8 +53,8 @@ class Simulated:
         head = f"Simulated: {len(self.time_s)} rows, {self.time_s[0]:g} to {self.time_s[-1]:g} s"
         ranges = {**self.places, "core": self.core}
         errors = {place: f", {value:.2f} K from the readings" for place, value in self.rmse.items()}
-        told = [f"{p}: {min(v):.1f} to {max(v):.1f} °C{errors.get(p, '')}" for p, v in ranges.items()]
-        return "\n".join([head, *lines_of(told)])
+        lines = [f"{p}: {min(v):.1f} to {max(v):.1f} °C{errors.get(p, '')}" for p, v in ranges.items()]
+        return "\n".join([head, *lines_of(lines)])
 
 
 def simulate_run(

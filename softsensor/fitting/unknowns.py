@@ -46,7 +46,7 @@ class Gap:
     end: float
 
     @property
-    def said(self) -> Message:
+    def message(self) -> Message:
         """What is missing, and what that means for the run."""
         return say("fit-gap-at-moment", begin=self.start, end=self.end, moment=self.moment)
 

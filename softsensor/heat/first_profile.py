@@ -8,7 +8,7 @@ resistance, whose height is a parameter (`start_0_K` for the lowest gap): flux a
 
 The live sensor starts at rest, at the coefficients in force and with their doubt. A fit starts straight in
 height, with no say of its contacts: at rest, the first readings become evidence on them, though a press is
-loaded otherwise before its first row. On the press rig, whose later readings hardly tell its two contacts apart,
+loaded otherwise before its first row. On the press rig, whose later readings hardly separate its two contacts,
 such a fit put the whole resistance into one of them (100 kW/m²K in the other), where their author finds 1.2 to
 4.5 in both; so it did with the parabolas among its unknowns, and with contacts as guessed one of the six runs
 left that range. (Decided 2026-11-22.)

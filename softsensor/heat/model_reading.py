@@ -202,10 +202,10 @@ def check_coefficient(name: str, value: object, where: str | Message) -> float:
     least, most = HEAT_TRANSFER
     number = number_of(value)
     if not least <= number <= most:
-        said = say(
+        problem = say(
             "coefficient-impossible", where=where, name=name, value=in_short(value), lower=least, upper=most
         )
-        raise InputError(said)
+        raise InputError(problem)
     return number
 
 
@@ -245,10 +245,10 @@ def _check_parameters(
         _check_numbers(found, source, f"effects.{number}.parameters.{name}")
         value = number_of(found.value)
         if not (p.lower <= value <= p.upper and math.isfinite(value)):
-            unit = p.told_unit if p.factor == 1.0 else ""  # the file has the number without the factor
+            unit = p.shown_unit if p.factor == 1.0 else ""  # the file has the number without the factor
             limits: dict[str, Any] = {"lower": p.lower, "upper": p.upper, "unit": unit}
-            said = say("model-file-effect-outside", **place, name=name, value=in_short(found.value), **limits)
-            raise InputError(said)
+            problem = say("model-file-effect-outside", **place, name=name, value=in_short(found.value), **limits)
+            raise InputError(problem)
 
 
 def _check_numbers(found: object, source: str | Message, place: str) -> None:

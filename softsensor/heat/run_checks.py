@@ -202,14 +202,14 @@ def load_remarks(press: Press, run: Run) -> list[Message]:
     for contact in press.contact:
         if contact.load is not None and load_series(run, contact.load) is None:
             lacking.setdefault(contact.load.column, []).append("-".join(contact.between))
-    told: list[Message] = []
+    remarks: list[Message] = []
     for column, contacts in lacking.items():
         which: dict[str, Argument] = {"run": run.source or run.name, "column": column, "contacts": tuple(contacts)}
         if column in run.columns:
-            told.append(say("load-column-empty", **which))
+            remarks.append(say("load-column-empty", **which))
         else:
-            told.append(say("load-column-missing", columns=tuple(run.columns), **which))
-    return told
+            remarks.append(say("load-column-missing", columns=tuple(run.columns), **which))
+    return remarks
 
 
 def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:

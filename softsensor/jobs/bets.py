@@ -64,13 +64,13 @@ class Bets:
     """The run that made it sure, empty where it is not. No more is bet then."""
 
     @classmethod
-    def stored(cls, told: Mapping[str, Any]) -> Bets:
+    def stored(cls, content: Mapping[str, Any]) -> Bets:
         """Return the bets that the store kept.
 
         Before 2026-11-25 it did not keep what waits, which was `1 / (1 + log2(runs + 1))`. The bets go on from
         there: what is laid from now on may follow any rule.
         """
-        return cls(**{"waiting": 1.0 / (1.0 + math.log2(told.get("runs", 0) + 1.0)), **told})
+        return cls(**{"waiting": 1.0 / (1.0 + math.log2(content.get("runs", 0) + 1.0)), **content})
 
     @property
     def average(self) -> float:
@@ -99,8 +99,8 @@ class Bets:
         begins = self.waiting * _begins(self.runs)
         equal = [(1.0 - self.waiting) / len(STAKES)] * len(STAKES)
         held = np.array([self.wealth.get(name, equal) for name in ways()])
-        said = np.array([scores.get(name, 0.0) for name in ways()])
-        factors = 2.0 / (1.0 + np.exp(-2.0 * np.outer(said, STAKES)))
+        scored = np.array([scores.get(name, 0.0) for name in ways()])
+        factors = 2.0 / (1.0 + np.exp(-2.0 * np.outer(scored, STAKES)))
         held = np.minimum((held + begins / len(STAKES)) * factors, MOST)
         wealth = dict(zip(ways(), held.tolist(), strict=True))
         found = replace(self, counted=number, runs=self.runs + 1, waiting=self.waiting - begins, wealth=wealth)

@@ -175,6 +175,6 @@ def _ended(client: Client, futures: Sequence[Any]) -> Collection[Any]:
             if client.status == "running" and client.nthreads():
                 working_s = time.monotonic()
             elif silent_s > WORKERS_WAIT_S:
-                said = say("dask-workers-lost", address=client.scheduler.address, seconds=silent_s)
-                raise WorkersLost(said) from None
+                problem = say("dask-workers-lost", address=client.scheduler.address, seconds=silent_s)
+                raise WorkersLost(problem) from None
     raise WorkersLost(say("dask-scheduler-lost", address=client.scheduler.address))

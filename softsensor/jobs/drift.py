@@ -122,11 +122,11 @@ def _part_mean(low: Array, high: Array) -> Array:
 def log_evidence(scores: Array) -> Array:
     """Return the logarithm of what speaks for a change after each run (runs)."""
     ratios = np.outer(scores, SHIFTS) - _log_usual(len(scores))
-    told, so_far = np.empty(len(scores)), np.full(len(SHIFTS), -np.inf)
+    evidence, so_far = np.empty(len(scores)), np.full(len(SHIFTS), -np.inf)
     for i, ratio in enumerate(ratios):
         so_far = np.logaddexp(0.0, so_far) + ratio
-        told[i] = np.logaddexp.reduce(so_far) - math.log(len(SHIFTS))
-    return told
+        evidence[i] = np.logaddexp.reduce(so_far) - math.log(len(SHIFTS))
+    return evidence
 
 
 @lru_cache(maxsize=4)
@@ -161,8 +161,8 @@ def alarms_of(store: Store, press: str) -> list[DriftAlarm]:
     """Return the alarms that stand over a press's newest runs, in the order in which they were pressed.
 
     Only fits made with the effects of the model in force count: beside other effects a coefficient means another
-    thing, and the press would be blamed for what a promotion has changed. Nor do runs of which nobody said when
-    they were: they have no place in an order.
+    thing, and the press would be blamed for what a promotion has changed. Nor do runs without a known time
+    count: they have no place in an order.
     """
     active = store.active_model(press)
     in_force = _effects(active.model) if active is not None else frozenset()

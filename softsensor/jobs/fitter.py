@@ -37,7 +37,7 @@ class Fitter:
         # The worker is given one fit at a time: those that wait are not lost with the one that kills it.
         self._queue = ThreadPoolExecutor(1, thread_name_prefix="fits")
         self.replaced: set[str] = set()
-        """Runs whose worker was lost and that another one fits, until who asked for the fit has told it."""
+        """Runs whose worker was lost and that another one fits, until who asked for the fit has reported it."""
         self._closed = False
         self._pool = new_workers(1)
 

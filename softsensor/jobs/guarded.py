@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from daq.store import Store, StoreUnavailable
-from daq.supervision import RESTART_S, Untold, unexpected
+from daq.supervision import RESTART_S, Pending, unexpected
 from daq.words import Message, say
 from softsensor.jobs.run_fits import write_journal
 
@@ -60,7 +60,7 @@ class Guarded(Generic[F]):
 
     It begins where the store says, as after a restart. A scan at which it fails a second time is passed over.
     Where it fails further before a scan beyond was taken, all that are there by then are, and the sensor begins
-    with the next, as where a recorder was begun in mid-run. A kind of fault is told once a run.
+    with the next, as where a recorder was begun in mid-run. A kind of fault is journalled once a run.
     """
 
     def __init__(self, begin: Callable[[], F]) -> None:
@@ -68,7 +68,7 @@ class Guarded(Generic[F]):
         self.follower = begin()
         self.fault: Message | None = None
         """What nobody foresaw, until a scan beyond it was taken."""
-        self._untold, self._told = Untold(self._journal), set[str]()
+        self._pending, self._journalled = Pending(self._journal), set[str]()
         self._failures = 0
         """Since a scan beyond was taken."""
         self._beyond, self._run = -1, ""
@@ -95,22 +95,22 @@ class Guarded(Generic[F]):
         if self.follower.last > self._beyond:
             self.fault, self._failures = None, 0
             if self.follower.run != self._run:
-                self._told.clear()
-        self._untold.tell()
+                self._journalled.clear()
+        self._pending.hand_over()
         return worked
 
     def _failed(self, error: Exception) -> None:
         before, self.follower = self.follower, self._begin()
         self.follower.passed, self.follower.poisoned = before.passed, before.poisoned
         self.fault, self._run = say("of-press", press=before.name, what=unexpected(error)), before.run
-        if (kind := type(error).__name__) not in self._told:
-            self._told.add(kind)
-            self._untold.add(self.fault)
+        if (kind := type(error).__name__) not in self._journalled:
+            self._journalled.add(kind)
+            self._pending.add(self.fault)
             LOG.error("%s", self.fault, exc_info=error)
         self._beyond = max(self._beyond, before.last)
         if before.taking is not None:
             self._pass_over(before.taking)
-        self._untold.tell()
+        self._pending.hand_over()
 
     def _pass_over(self, scan: int) -> None:
         """Leave out what fails again and again, beginning with a single scan."""

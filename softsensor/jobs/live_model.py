@@ -52,7 +52,7 @@ class LiveModel:
         self._looked = -math.inf
 
     def look(self, now: float, busy: str) -> None:
-        """Take the model in force; one that nobody can take leaves the one before, and is told."""
+        """Take the model in force; one that nobody can take leaves the one before, and is reported."""
         if now - self._looked <= LOOK_S:
             return
         self._looked = now

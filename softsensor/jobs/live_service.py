@@ -29,7 +29,7 @@ from daq.records import InputError, PressState, Scan
 from daq.store import RunRecord, ScanBatch, Store, StoredEstimate, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import open_when_ready
-from daq.supervision import BEAT_S, Untold
+from daq.supervision import BEAT_S, Pending
 from daq.words import Message, say, spoken
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.fitter import Fitter
@@ -59,7 +59,7 @@ IDLE_S = 1.0
 
 
 UPDATE_SHARE = 0.02
-"""Of the newest update in the mean that `/health` tells: over some 50. By hand, 2026-11."""
+"""Of the newest update in the mean shown by `/health`: over some 50. By hand, 2026-11."""
 
 
 def sense(config: Config, *, stop: threading.Event | None = None) -> None:
@@ -206,22 +206,25 @@ class Follower:
     message: Message = field(default_factory=lambda: say("sense-waiting"))
     update_us: float = 0.0
     _looked: float = -math.inf
-    _idle_said: float = -math.inf
+    _idle_s: float = -math.inf
+    """When an estimate between pressings was last stored."""
     _ended: list[RunRecord] = field(default_factory=list)
     """Pressings that are over and have scans this process has not seen yet, oldest first."""
     _unwritten: list[StoredEstimate] = field(default_factory=list)
-    """Said and not in the store yet: no scan goes through the sensor twice because the store was away."""
-    _untold: Untold[tuple[Literal["warning", "alarm"], Message]] = field(init=False)
+    """Estimated and not in the store yet: no scan goes through the sensor twice because the store was away."""
+    _pending: Pending[tuple[Literal["warning", "alarm"], Message]] = field(init=False)
     """For the journal and not in it yet, for the same reason."""
     _departed: set[tuple[str, str]] = field(default_factory=set)
-    """Runs and their channels of which it was told that they depart."""
+    """Runs and their channels reported to depart."""
     _damaged_in: str | None = None
-    """The run (none: empty) of which it was told that a scan cannot be read."""
+    """The run (none: empty) for which an unreadable scan was reported."""
 
     def __post_init__(self) -> None:
-        """Know whom to tell."""
-        self._untold = Untold(lambda told: write_journal(self.store, *told, self.name))
-        self.model = LiveModel(self.store, self.settings, self.press, lambda why: self._untold.add(("alarm", why)))
+        """Connect the journal and the model in force."""
+        self._pending = Pending(lambda line: write_journal(self.store, *line, self.name))
+        self.model = LiveModel(
+            self.store, self.settings, self.press, lambda why: self._pending.add(("alarm", why))
+        )
 
     @property
     def name(self) -> str:
@@ -282,17 +285,17 @@ class Follower:
         batch = self.store.scans_after(self.name, number, BATCH)
         if batch.damaged and self._damaged_in != self.run:  # once a run: the fit says so again
             self._damaged_in = self.run
-            said = say("store-scan-damaged", scan=batch.damaged[0], store=self.store.label)
-            self._untold.add(("alarm", say("of-press", press=self.name, what=said)))
+            problem = say("store-scan-damaged", scan=batch.damaged[0], store=self.store.label)
+            self._pending.add(("alarm", say("of-press", press=self.name, what=problem)))
         self.taking = None
         return batch
 
     def _write(self) -> None:
-        """Store what was said; where the store refuses, it is tried again at the next step."""
+        """Store the estimates; where the store refuses, it is tried again at the next step."""
         if self._unwritten:
             self.store.append_estimates(self.name, self._unwritten)
             self._unwritten = []
-        self._untold.tell()
+        self._pending.hand_over()
 
     # --- runs ---------------------------------------------------------------------------------------
 
@@ -349,7 +352,7 @@ class Follower:
         self.live = _Live(record, sensor, version, fitted)
         self.refused = None
         try:
-            self._catch_up(record, said_before=same)
+            self._catch_up(record, estimated_before=same)
             if not same and (remark := panel_remark(record.header, self.model.file)) is not None:
                 write_journal(self.store, "warning", say("of-run", run=record.run, what=remark), self.name)
         except StoreUnavailable:
@@ -357,7 +360,7 @@ class Follower:
             raise
         self.message = say("sense-follows-run", run=record.run)
 
-    def _catch_up(self, record: RunRecord, *, said_before: bool) -> None:
+    def _catch_up(self, record: RunRecord, *, estimated_before: bool) -> None:
         """Give the sensor the run's scans so far."""
         number = max(record.first_scan - 1, self.passed)
         while number < self.last:
@@ -367,17 +370,17 @@ class Follower:
             if not scans:
                 break
             estimates = [self._estimate(scan, names) for scan in scans]
-            if not said_before:  # a new model does not rewrite what the old one said
+            if not estimated_before:  # a new model does not rewrite the old one's estimates
                 self.store.append_estimates(self.name, [e for e in estimates if e is not None])
             number = scans[-1].number
 
     def _estimate(self, scan: Scan, names: tuple[str, ...]) -> StoredEstimate | None:
-        """Return what is said at a scan; between pressings once a second."""
+        """Return the estimate of a scan; between pressings once a second."""
         live = self.live
         if live is None or scan.number < live.record.first_scan:
-            if 0.0 <= scan.monotonic_s - self._idle_said < IDLE_S:
+            if 0.0 <= scan.monotonic_s - self._idle_s < IDLE_S:
                 return None
-            self._idle_said = scan.monotonic_s
+            self._idle_s = scan.monotonic_s
             return _stored(
                 scan, Estimate(scan.monotonic_s, PressState.IDLE, invalid=Invalid(InvalidReason.NO_PANEL)), "", {}
             )
@@ -397,30 +400,32 @@ class Follower:
         time_s = round(scan.monotonic_s - live.record.zero_monotonic_s, 6)
         begun = time.perf_counter()
         try:
-            said = live.sensor.update(time_s, values)
+            estimate = live.sensor.update(time_s, values)
         except InputError as error:
             self.refused = spoken(error)
-            said = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.refused}))
+            estimate = Estimate(
+                time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.refused})
+            )
         self.update_us += UPDATE_SHARE * (1e6 * (time.perf_counter() - begun) - self.update_us)
-        details = _details(live.sensor, said)
+        details = _details(live.sensor, estimate)
         course = live.sensor.forecast.course
-        if said.valid and course and course is not live.course:
+        if estimate.valid and course and course is not live.course:
             live.course = course
             details["course"] = [[round(v, 1) for v in row] for row in course]
-        self._tell_departing(live, time_s)
-        return _stored(scan, said, live.model, details)
+        self._report_departing(live, time_s)
+        return _stored(scan, estimate, live.model, details)
 
-    def _tell_departing(self, live: _Live, time_s: float) -> None:
-        """Have told, once a run, which channels depart for longer than a switch."""
+    def _report_departing(self, live: _Live, time_s: float) -> None:
+        """Journal, once a run, the channels that depart for longer than a switch."""
         now = live.sensor.departing
         live.departs_since = {column: live.departs_since.get(column, time_s) for column in now}
         for column, kelvin in now.items():
-            told = (live.record.run, column)
-            if time_s - live.departs_since[column] > AFTER_SWITCH_S and told not in self._departed:
+            departure = (live.record.run, column)
+            if time_s - live.departs_since[column] > AFTER_SWITCH_S and departure not in self._departed:
                 side = "below" if kelvin < 0.0 else "above"
-                said = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
-                self._untold.add(("warning", said))
-                self._departed.add(told)
+                message = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
+                self._pending.add(("warning", message))
+                self._departed.add(departure)
 
     def _finish(self, live: _Live) -> None:
         """A run is over: fit all of it."""
@@ -431,19 +436,23 @@ def _resin_of(settings: PressSettings) -> Resin | None:
     return None if settings.resin is None else read_resin(settings.resin)
 
 
-def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
+def _details(sensor: LiveSensor, estimate: Estimate) -> dict[str, Any]:
     """Return what goes beside an estimate, without what is not known.
 
     Forecast, profile and heat come out of the same estimate as the core: where that is not valid, none is given.
     """
-    found: dict[str, Any] = {"suspected": said.suspected} if said.suspected else {}
+    found: dict[str, Any] = {"suspected": estimate.suspected} if estimate.suspected else {}
     if left_out := sensor.left_out:
         found["left_out"] = {column: round(kelvin, 1) for column, kelvin in left_out.items()}
-    if said.leave is not None:
-        found |= _leaving(said.leave, open_now=said.open_now)
-    if said.invalid is not None:
-        return found | ({"reason_arguments": said.invalid.stored} if said.invalid.arguments else {})
-    if said.state is not PressState.IDLE and said.state is not None and (inside := sensor.inside) is not None:
+    if estimate.leave is not None:
+        found |= _leaving(estimate.leave, open_now=estimate.open_now)
+    if estimate.invalid is not None:
+        return found | ({"reason_arguments": estimate.invalid.stored} if estimate.invalid.arguments else {})
+    if (
+        estimate.state is not PressState.IDLE
+        and estimate.state is not None
+        and (inside := sensor.inside) is not None
+    ):
         found["profile_C"] = [round(v, 1) for v in inside.profile_C.tolist()]
         found["energy_kJ_m2"] = round(inside.energy_kJ_m2, 1)
     found["band_from"] = {kind: round(share, 3) for kind, share in sensor.band_from.items()}
@@ -469,17 +478,17 @@ def _leaving(leave: Leave, *, open_now: bool) -> dict[str, Any]:
     return {**known, **grade, "open_now": open_now}
 
 
-def _stored(scan: Scan, said: Estimate, model: str, detail: dict[str, Any]) -> StoredEstimate:
+def _stored(scan: Scan, estimate: Estimate, model: str, detail: dict[str, Any]) -> StoredEstimate:
     return StoredEstimate(
         number=scan.number,
         monotonic_s=scan.monotonic_s,
-        state=said.state if said.state is not None else "unknown",
-        core_celsius=said.core_C,
-        core_sd_kelvin=said.core_sd_K,
-        core_low_celsius=said.core_low_C,
-        core_high_celsius=said.core_high_C,
-        valid=said.valid,
-        reason="" if said.reason is None else said.reason.value,
+        state=estimate.state if estimate.state is not None else "unknown",
+        core_celsius=estimate.core_C,
+        core_sd_kelvin=estimate.core_sd_K,
+        core_low_celsius=estimate.core_low_C,
+        core_high_celsius=estimate.core_high_C,
+        valid=estimate.valid,
+        reason="" if estimate.reason is None else estimate.reason.value,
         model_version=model,
         detail=detail or None,
     )

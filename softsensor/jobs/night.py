@@ -98,14 +98,14 @@ def refit_press(
         outcome = replace(outcome, promoted=True, reason=reason)
     outcome = replace(outcome, drifts=tuple((a.coefficient, a.message) for a in alarms_of(store, name)))
     outcome = replace(outcome, archive=kept.line(name), archive_problem=kept.problem)
-    told = _told(outcome, time.perf_counter() - begun) | kept.told()
-    store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
+    summary = _summary(outcome, time.perf_counter() - begun) | kept.summary()
+    store.put_night(StoredNight(name, started, datetime.now(UTC), summary, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome
 
 
 def _came_from_sisters(store: Store, active: ModelRecord) -> bool:
-    """Return whether a model was learned from sisters since the night before: this night tells of it."""
+    """Return whether a model was learned from sisters since the night before: this night reports it."""
     before = store.nights(press=active.press, limit=1).items
     return "sisters" in active.model and (not before or before[0].ended_utc < active.created_utc)
 
@@ -124,8 +124,8 @@ def failed_night(store: Store, name: str, began: datetime, why: Message) -> Nigh
         runs, blind = store.count_pressings(name), without.get("blind", 0)
         outcome = replace(outcome, runs=runs, failed=failed, blind=blind)
         before = store.nights(press=name, limit=1).items
-        told, progress = _told(outcome, 0.0), before[0].progress if before else {}
-        store.put_night(StoredNight(name, began, datetime.now(UTC), told, progress))
+        summary, progress = _summary(outcome, 0.0), before[0].progress if before else {}
+        store.put_night(StoredNight(name, began, datetime.now(UTC), summary, progress))
     return outcome
 
 
@@ -202,7 +202,7 @@ def _basis(press: Press, records: Sequence[RunRecord]) -> str:
     return sha256(repr([(r.run, fingerprint(r, press, None)) for r in records]).encode()).hexdigest()
 
 
-def _told(outcome: NightOutcome, seconds: float) -> dict[str, Any]:
+def _summary(outcome: NightOutcome, seconds: float) -> dict[str, Any]:
     """Return a night as lists of nights show it."""
     return {
         "runs": outcome.runs,
@@ -220,12 +220,12 @@ def _told(outcome: NightOutcome, seconds: float) -> dict[str, Any]:
         "refused": outcome.refused,
         "version": outcome.version,
         "reason": outcome.reason.to_json(),
-        "drifts": [{"coefficient": name, "said": said.to_json()} for name, said in outcome.drifts],
+        "drifts": [{"coefficient": name, "said": message.to_json()} for name, message in outcome.drifts],
     }
 
 
 def most_memory_bytes() -> int | None:
-    """Return the most memory the job or the largest of its workers that have ended held; None where not told."""
+    """Return the most memory the job or the largest of its workers that have ended held; None where not known."""
     if sys.platform == "win32":
         return None
     import resource
@@ -237,14 +237,14 @@ def most_memory_bytes() -> int | None:
 
 
 def sign_off(store: Store, outcomes: Sequence[NightOutcome]) -> None:
-    """Leave the whole job's sign of life: when it last came to its end, and what it said."""
+    """Leave the whole job's sign of life: when it last came to its end, and its outcome."""
     lines = [o.line for o in outcomes]
-    told = {
+    status = {
         "state": "done",
         "message": "; ".join(map(str, lines)),
         "message_codes": [line.to_json() for line in lines],
     }
-    store.beat(PROCESS, told)
+    store.beat(PROCESS, status)
 
 
 def roll_back(store: Store, press: str, who: str = PROCESS) -> str:

@@ -1,7 +1,7 @@
 """A night's judgement: what the runs say is missing, a candidate with it, and whether it is better.
 
 Nothing is promoted that has not been held against the model in force on the same runs and, where there is a core
-thermocouple, on the same scans of the core. Two residuals are told apart: with a run's own contacts fitted to it,
+thermocouple, on the same scans of the core. There are two residuals: with a run's own contacts fitted to it,
 and of a run predicted from its header, its moments and its platens alone. The prediction has a veto and, where it
 is surely better, suffices. A test asked every night names something sooner or later: what a diagnosis would name
 is only suspected until the bets over all nights (`bets`) are sure that something is missing.
@@ -95,7 +95,7 @@ class NightOutcome:
     unread: tuple[Message, ...] = ()
     """Of runs that had a fit and could not be read for the judgement, why."""
     drifts: tuple[tuple[str, Message], ...] = ()
-    """Coefficients that have left what is usual, and what is said of each."""
+    """Coefficients that have left what is usual, and the message about each."""
     named: tuple[str, ...] = ()
     """Effects the diagnosis named."""
     refused: str = ""
@@ -109,8 +109,8 @@ class NightOutcome:
     def fits_line(self) -> Message:
         """What became of the runs."""
         kept = self.runs - self.fitted - self.failed - self.blind - self.later
-        told = {"fitted": self.fitted, "runs": self.runs, "kept": max(kept, 0)}
-        fits = say("night-fits", **told, failed=self.failed, blind=self.blind)
+        counts = {"fitted": self.fitted, "runs": self.runs, "kept": max(kept, 0)}
+        fits = say("night-fits", **counts, failed=self.failed, blind=self.blind)
         if not self.later:
             return fits
         return say("night-fits-later", fits=fits, later=self.later, nights=nights_for(self.later))
@@ -300,7 +300,7 @@ def _compare(
 ) -> _Comparison:
     """Say what the candidate gains on the judging runs, and whether that is enough.
 
-    Where there are too few runs to keep the judging ones apart from the diagnosis, that is said, and predictions
+    Where there are too few runs to keep the judging ones apart from the diagnosis, that is noted, and predictions
     are those of the diagnosis, each run by the others. `fewer` effects than before need no gain, only no loss,
     and neither does the first model of its own runs after one of its sisters'.
     """
@@ -481,13 +481,13 @@ def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Ar
 
 
 def _errors(press: Press, run: Run, model: ModelFile | None, core: Array) -> Array:
-    said = replay(press, run, model).estimates
-    predicted: Array = np.array([e.core_C if e.valid else math.nan for e in said])
+    estimates = replay(press, run, model).estimates
+    predicted: Array = np.array([e.core_C if e.valid else math.nan for e in estimates])
     return predicted - core
 
 
 def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile, list[str]]:
-    """Ask what the plain model gets wrong on these runs; a law without a name is told and not promoted.
+    """Ask what the plain model gets wrong on these runs; a law without a name is reported and not promoted.
 
     Returns the report, the extended model, and causes it would name that the bets over all nights hold back.
     """

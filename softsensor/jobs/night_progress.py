@@ -53,8 +53,8 @@ class Progress:
         found = store.nights(press=press, limit=1).items
         if not found:
             return cls()
-        told = found[0].progress
-        return cls(**{**told, "bets": Bets.stored(told.get("bets", {}))})
+        content = found[0].progress
+        return cls(**{**content, "bets": Bets.stored(content.get("bets", {}))})
 
     def as_json(self) -> dict[str, Any]:
         """Return it as the store keeps it."""

@@ -46,15 +46,18 @@ def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
 
     Fits and the versions' standing are today's.
     """
-    told = night.night
+    content = night.night
     outcome = NightOutcome(
         press=night.press,
-        **{key: told[key] for key in ("runs", "fitted", "version", "verdict", "blind", "new", "later", "refused")},
-        failed=told["not_fitted"],
-        promoted=bool(told["promoted"]),
-        reason=Message.from_json(told["reason"]),
-        named=tuple(told["named"]),
-        drifts=tuple((d["coefficient"], Message.from_json(d["said"])) for d in told.get("drifts", ())),
+        **{
+            key: content[key]
+            for key in ("runs", "fitted", "version", "verdict", "blind", "new", "later", "refused")
+        },
+        failed=content["not_fitted"],
+        promoted=bool(content["promoted"]),
+        reason=Message.from_json(content["reason"]),
+        named=tuple(content["named"]),
+        drifts=tuple((d["coefficient"], Message.from_json(d["said"])) for d in content.get("drifts", ())),
     )
     newest = store.nights(press=night.press, limit=1).items[0].number == night.number
     return _record(store, outcome, night.ended_utc, None if newest else night.ended_utc)

@@ -21,7 +21,7 @@ def settled(
 ) -> Bets:
     """Return the bets with those of some fitted runs settled that have not had their turn, oldest first.
 
-    `records`: the newest runs, oldest first, new and old: all tell how runs scatter.
+    `records`: the newest runs, oldest first, new and old: all show how runs scatter.
     """
     fresh = [r for r in records if r.number > bets.counted]
     if bets.sure or not fresh:

@@ -78,7 +78,7 @@ def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None,
     Parameters
     ----------
     progress
-        Told how many campaigns are done.
+        Called with the number of campaigns done.
     dask
         Address of a scheduler.
 
@@ -124,13 +124,16 @@ def _key(task: RehearsalTask) -> tuple[str, int]:
 
 def _mark(campaign: Campaign) -> str:
     """Return by what a campaign is known again: the same runs, press and fit give the same mark."""
-    told = [campaign.press.model_dump_json(), repr([(n, f"{v:.6g}") for n, v in sorted(campaign.levels.items())])]
-    seen = hashlib.sha256("".join(told).encode())
+    inputs = [
+        campaign.press.model_dump_json(),
+        repr([(n, f"{v:.6g}") for n, v in sorted(campaign.levels.items())]),
+    ]
+    digest = hashlib.sha256("".join(inputs).encode())
     for one in campaign.runs:
-        seen.update(repr((one.run.name, sorted(one.run.header.items(), key=str))).encode())
+        digest.update(repr((one.run.name, sorted(one.run.header.items(), key=str))).encode())
         for name in sorted(one.run.columns):
-            seen.update(name.encode() + one.run.columns[name].tobytes())
-    return seen.hexdigest()[:16]
+            digest.update(name.encode() + one.run.columns[name].tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _keep(file: Path, mark: str, outcome: Outcome) -> None:

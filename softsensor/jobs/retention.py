@@ -55,7 +55,7 @@ class Kept:
     problem: Message | None = None
     """What went wrong last, in the journal too."""
 
-    def told(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return it as a night keeps it."""
         return {name: value for name, value in self.__dict__.items() if name != "problem"}
 

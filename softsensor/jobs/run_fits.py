@@ -34,13 +34,13 @@ NO_FIT = ("run-not-fitted", "run-nothing-to-fit", "run-fit-killed")
 def write_journal(
     store: Store,
     level: Literal["info", "warning", "alarm"],
-    said: Message,
+    message: Message,
     press: str | None = None,
     **detail: Any,
 ) -> None:
     """Write a line to the journal and to the log."""
-    LOG.log(logging.INFO if level == "info" else logging.WARNING, "%s", said)
-    store.log(level, PROCESS, said, press, detail or None)
+    LOG.log(logging.INFO if level == "info" else logging.WARNING, "%s", message)
+    store.log(level, PROCESS, message, press, detail or None)
 
 
 @dataclass
@@ -91,7 +91,7 @@ class RunFits:
     def collect(self, version: str, model: ModelFile | None) -> bool:
         """Store finished fits, made with a model's effects, and look at the control charts; return whether any."""
         stored = False
-        self._tell_replaced()
+        self._journal_replaced()
         for run in [run for run, future in self._under_way.items() if future.done()]:
             with self._giving_up(run):
                 stored = self._store(run, version, model) or stored
@@ -117,7 +117,7 @@ class RunFits:
 
     @contextmanager
     def _giving_up(self, run: str) -> Iterator[None]:
-        """Tell an exception that nobody foresaw and leave this run without a fit: all else goes on."""
+        """Journal an exception that nobody foresaw and leave this run without a fit: all else goes on."""
         try:
             yield
         except StoreUnavailable:
@@ -133,7 +133,7 @@ class RunFits:
         self._under_way.pop(run, None)
         self._due.discard(run)
 
-    def _tell_replaced(self) -> None:
+    def _journal_replaced(self) -> None:
         """Journal the fits whose worker was killed and replaced: once each, and again where the store refused."""
         for run in self.fitter.replaced & set(self._under_way):
             write_journal(self.store, "warning", say("run-fit-again", run=run), self.name)

@@ -19,7 +19,7 @@ class RunReader:
     store: Store
     press: str
     left_out: dict[str, Message] = field(default_factory=dict)
-    """Runs that could not be read, and what is said of each."""
+    """Runs that could not be read, and the reason of each."""
     _kept: dict[str, Run] = field(default_factory=dict)
     """The newest, which every step of a judgement asks for."""
 

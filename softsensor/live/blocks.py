@@ -68,7 +68,7 @@ class Scans:
         """Return the channels that read something else than their place, and by how much. [K]
 
         Now, or of late (rms) if that is more. The same limits as the screen of a finished run: a departure of
-        `LIMIT_K` and of `LIMIT_RATIO` times what is usual there; a place needs three channels to tell.
+        `LIMIT_K` and of `LIMIT_RATIO` times what is usual there; a place needs three channels to judge.
         """
         if not self._count:
             return {}
@@ -96,7 +96,7 @@ class Scans:
         return away
 
     def _limits(self) -> Iterator[tuple[int, float]]:
-        """Give each channel whose place can tell, and the departure that counts there. [K]"""
+        """Give each channel whose place can be judged by, and the departure that counts there. [K]"""
         for m in range(self._faces):
             there = np.flatnonzero((self._channels.place == m) & (self._channels.seen > 0))
             if len(there) < LEAST_CHANNELS:

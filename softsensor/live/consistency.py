@@ -96,9 +96,9 @@ def place_insertion(
     """Place an insertion that the lower face does not show, since its sensors were silent or are missing.
 
     It lies after the last cold reading of the lower face, or the last one of the panel before, and before its
-    first hot one or the closing. In between, a lower face first read on the plate tells by its slope how long it
+    first hot one or the closing. In between, a lower face first read on the plate shows by its slope how long it
     has lain there (temperatures rise with the root of time: age = rise / (2 slope)); else an upper face that warms
-    well before the closing tells it, else the usual wait.
+    well before the closing shows it, else the usual wait.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def _unbroken(begin: float, read: Array) -> float:
 
 
 def _age(time: Array, rise: Array) -> float:
-    """Return for how long a face has lain on the plate at its first reading, as its rise and slope tell. [s]"""
+    """Return for how long a face has lain on the plate at its first reading, as its rise and slope show. [s]"""
     slope, middle = np.polyfit(time - time.mean(), rise, 1)
     if slope <= 0.0 or middle <= 0.0:
         return math.inf

@@ -2,7 +2,7 @@
 
 The filter's states are numbers that do not change in time (coefficients, constants, moments), so what the faces'
 temperatures so far mean for the cure is one number and its derivative by these states. They are carried from block
-to block, and read off with the state estimate of the moment: what is learned later about a contact also tells how
+to block, and read off with the state estimate of the moment: what is learned later about a contact also shows how
 the face has been. The paper's temperature is that of the model at the panel's face, no thermocouple's reading.
 """
 

@@ -3,14 +3,14 @@
 *Constants* are as far off as `signals.doubt` says: the panel's, those of all layers of one material together, the
 flux onto a face. *Discrepancy* is what is left when every constant is right: a contact that wanders while the
 press is closed, which is an unknown slow heat flux at the faces, and a small source inside. No hypothesis makes
-these certain, and faces cannot tell them from coefficients: they are considered, not estimated (`kalman_steps`).
+these certain, and faces cannot separate them from coefficients: they are considered (`kalman_steps`).
 Estimated, with 20 % of freedom for k and c, they drew the core 1 to 3 K off on panels whose constants were exact
 (held: 0.1 to 0.3 K) and left most of a pressing with a hidden cause without an answer (campaign seed 78,
 2026-11-22). The *start* between two first readings is a parameter like any other.
 
 The wander is a random walk in the logarithm of the time since closing, for contacts settle fast at first and ever
 more slowly; its increments are ramps of that logarithm. A contact wanders within a pressing by what it differs
-from pressing to pressing, which earlier runs tell. The source takes heat in proportion to what a place is above
+from pressing to pressing, which earlier runs show. The source takes heat in proportion to what a place is above
 ambient; its size is the share of the core's rise that earlier runs leave open, and what bare sides of a stack
 without a panel may lose (`PressTable.side_loss_W_m2K`). (Decided 2026-11-22.)
 """
@@ -51,7 +51,7 @@ UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
 By hand."""
 CONDUCTIVITY = "panel.conductivity_W_mK"
 WITHIN_CAPACITY = {"panel.density_kg_m3": 0.0}
-"""What panels of one press differ by in rho c is told for both together (issue 18; a fit joins them,
+"""What panels of one press differ by in rho c is stated for both together (issue 18; a fit joins them,
 `fitting.constants`): density's scatter is in it and does not count twice."""
 MOST_SHARE = 0.5
 """A constant in doubt by more is not known: answers to it are no straight lines. By hand, 2026-11."""

@@ -125,7 +125,7 @@ class PressFollower:
         return True
 
     def receive(self, time_s: float, expected: Array | None) -> None:
-        """Note which faces the newest scan has: nothing else tells that a panel has come, is there, or has gone.
+        """Note which faces the newest scan has: nothing else shows that a panel has come, is there, or has gone.
 
         `expected` is what the model says they read (M), None where it says nothing yet. [°C]
         """

@@ -6,7 +6,7 @@ measuring chain (2), and each face's constant offset and slow bias (2 M) in K: x
     predict    x = F x,  P = F P F' + Q      only the slow biases change: F = keep, Q = FACE_SLOW_K² (1 - keep²)
     update     S = h P h' + R,  K = P h' / S,  x += K (y - h x),  P -= K S K'      one face at a time
 
-Parameters that are *considered* (constants in doubt, what any model lacks) are held: readings that cannot tell
+Parameters that are *considered* (constants in doubt, model error) are held: readings that cannot separate
 them from coefficients must not move them. Their rows of P are 0. What a wrong one does to every other state while
 the filter takes it for right is followed beside it, as the matrix E of d(true - estimated state)/d(its own error),
 which begins as 1 in its own row (consider covariance; Schmidt 1966; Bierman 1977, ch. VIII):

@@ -63,7 +63,7 @@ class Mixture:
     shares: tuple[Array, ...]
     """By filter the shares of its hypotheses, should nothing have changed at once."""
     by_faces: bool = False
-    """Whether something has changed at once and the faces as measured tell the core, whatever the contacts do."""
+    """Whether something has changed at once and the faces as measured give the core, whatever the contacts do."""
     panels: tuple[PanelCore, ...] = ()
     """By panel that may lie in the press, the header's first (`live.panels`)."""
 
@@ -90,7 +90,7 @@ def model_variance(rise_K: float, start_K: float) -> float:
     rise_K
         How far the core has come from its start, in which the model's own error is counted.
     start_K
-        How far the core's start may be from the faces', where only they tell it.
+        How far the core's start may be from the faces', where only they show it.
     """
     return float(MARGIN_K**2 + start_K**2 + (MARGIN_SHARE * rise_K) ** 2)
 
@@ -121,24 +121,24 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: Sequence[Betwee
         doubts[own] = squares @ loose
     chances = np.exp(log - log.max())
     shares = np.split(chances / chances.sum(), ends[:-1])
-    said, begin = [], 0
+    cores, begin = [], 0
     for panel, group in groupby(zip(filters, shares, strict=True), key=lambda pair: pair[0].panel):
         ours, likely = zip(*group, strict=True)
         own = slice(begin, begin + sum(len(f.names) for f in ours))
         change = _change(ours, margin, between[panel] if between else None)
-        told = Components(log[own], means[own], variances[own]), doubts[own]
-        said.append(_core(ours, float(sum(share.sum() for share in likely)), told, change))
+        weighed = Components(log[own], means[own], variances[own]), doubts[own]
+        cores.append(_core(ours, float(sum(share.sum() for share in likely)), weighed, change))
         begin = own.stop
-    return _together(said, tuple(shares))
+    return _together(cores, tuple(shares))
 
 
 def _core(
-    filters: Sequence[KalmanFilter], chance: float, told: tuple[Components, Array], change: tuple[Change, bool]
+    filters: Sequence[KalmanFilter], chance: float, weighed: tuple[Components, Array], change: tuple[Change, bool]
 ) -> PanelCore:
-    """Pool what the hypotheses about one panel say; `told` is theirs, with the variance by doubts of any size."""
+    """Pool the hypotheses about one panel; `weighed` is theirs, with the variance by doubts of any size."""
     changed, by_faces = change
     room = 2 if changed.chance > 0.0 else 0
-    components = by_size(*told, room)
+    components = by_size(*weighed, room)
     names = [name if f.panel == 0 else ANOTHER_PANEL for f in filters for name in f.names]
     core, sd, low, high = pool(components, changed)
     every = (*names * len(DOUBT_SIZES), *[CHANGED] * room)
@@ -150,8 +150,8 @@ def _together(panels: Sequence[PanelCore], shares: tuple[Array, ...]) -> Mixture
     names = tuple(name for panel in panels for name in panel.names)
     if len(panels) == 1:
         (only,) = panels
-        told = only.core_C, only.sd_K, only.low_C, only.high_C
-        return Mixture(names, only.components, *told, shares, only.by_faces, (only,))
+        estimate = only.core_C, only.sd_K, only.low_C, only.high_C
+        return Mixture(names, only.components, *estimate, shares, only.by_faces, (only,))
     weight = np.concatenate([panel.chance * panel.components.weight for panel in panels])
     mean = np.concatenate([panel.components.mean for panel in panels])
     variance = np.concatenate([panel.components.variance for panel in panels])
@@ -184,7 +184,7 @@ def by_size(components: Components, doubts: Array, room: int = 0) -> Components:
 
 
 def _change(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | None) -> tuple[Change, bool]:
-    """Return that something may have changed at once, and whether the faces alone then tell the core."""
+    """Return that something may have changed at once, and whether the faces alone then give the core."""
     worst = min(f.worst for f in filters)
     odds = log_sum(filters[0].changed, MISFIT_WEIGHT * (worst - MISFIT_USUAL))
     if odds <= LEAST_ODDS:

@@ -16,7 +16,7 @@ any run; a known one's as earlier runs have shown them. Each has filters of its 
 So it is with a constant that is odd for its material (`daq.materials.ODD`): the board is special, or the number is
 mistaken and a board of the table lies there. Until 2026-11-25 one filter about the header's number doubted it by
 as much as it is off; the core answers to that in no straight line, and was 1.4 K beyond its band where the header
-said half as much again.
+stated half as much again.
 """
 
 from __future__ import annotations
@@ -105,9 +105,9 @@ def mistaken_constants(header: Mapping[str, Any]) -> tuple[float, dict[str, floa
         return 0.0, {}
     deviations = max(math.expm1(off) / listed[key].relative_sd for key, off in odd.items())
     right = (1.0 - ENTRY_ERROR) * math.erfc(deviations / math.sqrt(2.0))
-    told = {key: listed[key].value for key in odd}
-    told |= {f"{key}{SD}": listed[key].relative_sd * value for key, value in told.items()}
-    return 1.0 - max(right / (right + ENTRY_ERROR), LEAST_CHANCE), told
+    listed_values = {key: listed[key].value for key in odd}
+    listed_values |= {f"{key}{SD}": listed[key].relative_sd * value for key, value in listed_values.items()}
+    return 1.0 - max(right / (right + ENTRY_ERROR), LEAST_CHANCE), listed_values
 
 
 @dataclass(frozen=True)
@@ -156,16 +156,16 @@ def likely_panels(press: Press, run: Run, model: ModelFile | None) -> tuple[Like
     mistaken, listed = mistaken_constants(run.header)
     header, *others = panel_chances(float(header_mm), pressed)
     likely = [(header.chance, {}), *((o.chance, _so_thick(o)) for o in others)]
-    likely = [((1.0 - mistaken) * chance, told) for chance, told in likely]
+    likely = [((1.0 - mistaken) * chance, changes) for chance, changes in likely]
     likely += [(mistaken, listed)] if mistaken else []
     if (first := likely[0][0]) < LEAST_CHANCE:  # of two doubts together
         rest = (1.0 - LEAST_CHANCE) / (1.0 - first)
-        likely = [(LEAST_CHANCE, {}), *((rest * chance, told) for chance, told in likely[1:])]
+        likely = [(LEAST_CHANCE, {}), *((rest * chance, changes) for chance, changes in likely[1:])]
     found = []
-    for chance, told in likely:
-        so_told = replace(run, header={**run.header, **told})
-        new = bool(others) and THICKNESS not in told
-        found.append(LikelyPanel(chance, set_up(own, so_told, model, new_product=new)))
+    for chance, changes in likely:
+        changed = replace(run, header={**run.header, **changes})
+        new = bool(others) and THICKNESS not in changes
+        found.append(LikelyPanel(chance, set_up(own, changed, model, new_product=new)))
     return tuple(found)
 
 

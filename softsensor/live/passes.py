@@ -36,7 +36,7 @@ UNSURE = 2.0
 """Faces count from so many standard deviations after an insertion nobody saw: sooner they rise with the root of
 time, and a straight line through that would be sure of a moment it cannot know. By hand."""
 UNEVEN_K = 0.5
-"""A panel's faces follow the air of the hall before its core does: where they contradict the header, they tell the
+"""A panel's faces follow the air of the hall before its core does: where they contradict the header, they show the
 core's start no better than this. [K] By hand."""
 BLOCKS_PER_S, LEAST_BLOCKS = 250, 25
 """How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan.

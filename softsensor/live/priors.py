@@ -30,14 +30,14 @@ class CausePrior:
 
     parameter: str
     sd: float
-    """Size it has where it is present, and before a run has said more how much that size may differ."""
+    """Size it has where it is present, and before a run has shown more how much that size may differ."""
     one_sided: bool
     chance: float
     """That a run has it, before anything is known of the press."""
     width: float = 0.01
     """What is left of it where it is absent, as a share of `sd`."""
     centre: float | None = None
-    """Its size where it is present, as earlier runs tell; None: about its absence."""
+    """Its size where it is present, as earlier runs show; None: about its absence."""
 
     @property
     def effect(self) -> str:
@@ -274,7 +274,7 @@ def plans_for(
 
 
 def _where_present(s: CausePrior) -> list[Unknown]:
-    """Return a present cause's parameters: its size as earlier runs tell, the rest as the catalogue has it."""
+    """Return a present cause's parameters: its size as earlier runs show, the rest as the catalogue has it."""
     effect = find_effect(s.effect)
     present = [Unknown(effect.key(p.name), *p.present) for p in effect.parameters]
     return present if s.centre is None else [s.prior, *present[1:]]

@@ -1,4 +1,4 @@
-"""A stored run through the live sensor, scan by scan and causally: what it would have said."""
+"""A stored run through the live sensor, scan by scan and causally: what it would have estimated."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEAVES = ("cure_top", "cure_bottom", "cure_low", "steam_kPa", "steam_high_kPa")
 
 @dataclass(frozen=True)
 class Replay:
-    """What the live sensor said at every scan of a run."""
+    """The live sensor's estimates at all scans of a run."""
 
     run: Run
     estimates: tuple[Estimate, ...]
@@ -49,9 +49,9 @@ class Replay:
 
     def _leaves(self) -> dict[str, list[float] | list[int] | list[str]]:
         """Return the columns there are with a resin."""
-        said = [row.leave or Leave() for row in self.estimates]
+        leaves = [row.leave or Leave() for row in self.estimates]
         return {
-            **{name: [float(getattr(leave, name)) for leave in said] for name in LEAVES},
+            **{name: [float(getattr(leave, name)) for leave in leaves] for name in LEAVES},
             "open_now": [int(row.open_now) for row in self.estimates],
         }
 

@@ -227,7 +227,7 @@ class LiveSensor:
 
     @property
     def mixture(self) -> Mixture | None:
-        """What is said of the core at the newest block of scans, hypothesis by hypothesis; None before that."""
+        """The core at the newest block of scans, hypothesis by hypothesis; None before that."""
         current = self._run.passes.current if self._run is not None else None
         return None if current is None else current.mixture
 
@@ -315,6 +315,6 @@ def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float)
         return None
     thicknesses = [panel.thickness_mm for panel in run.panels]
     if len(set(thicknesses)) > 1:
-        told = nearest_of([mm for i, mm in enumerate(thicknesses) if i == 0 or mm != thicknesses[0]])
-        return Invalid(InvalidReason.ANOTHER_PANEL, {**told, "limit_K": WIDEST_K})
+        nearest = nearest_of([mm for i, mm in enumerate(thicknesses) if i == 0 or mm != thicknesses[0]])
+        return Invalid(InvalidReason.ANOTHER_PANEL, {**nearest, "limit_K": WIDEST_K})
     return Invalid(InvalidReason.BAND_TOO_WIDE, {"limit_K": WIDEST_K})

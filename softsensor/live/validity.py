@@ -72,7 +72,7 @@ class Invalid:
 
     @property
     def message(self) -> Message:
-        """Return it as something to be said."""
+        """Return it as a message for people."""
         return Message(self.reason.code, self.arguments)
 
     @property

@@ -6,7 +6,7 @@ A panel blisters where the steam in it at opening exceeds what its bond bears. T
     P(blister) = Φ((mean - m) / √(t² + sd²)),
 
 a probit with errors in p. The posterior of m and t is computed on a grid, so few marks and marks of one kind alone
-are no trouble: they move the prior as far as they speak. Panels that were let out early enough tell only from
+are no trouble: they move the prior as far as they speak. Panels that were let out early enough show only from
 where on panels still hold; nothing here calls for pressing until one blisters.
 """
 
@@ -108,7 +108,7 @@ class SteamLimit:
         }
 
 
-def limit_said(limit: SteamLimit) -> tuple[Message, ...]:
+def limit_messages(limit: SteamLimit) -> tuple[Message, ...]:
     """Return in words what is learned, and what to write into the resin file."""
     low, high = limit.ci95_kPa
     learned, stated = limit.foreseen
@@ -177,9 +177,9 @@ def learn_limit(
     before, foreseen = log - _log_sum(log), []
     for m, s, burst in zip(mean[known], sd[known], np.asarray(blistered, bool)[known], strict=True):
         z = (m - middle[:, None]) / np.hypot(scatter, s)
-        told = log_ndtr(z if burst else -z)
-        foreseen.append((_log_sum(log + told) - _log_sum(log), _log_sum(before + told)))
-        log = log + told
+        likelihood = log_ndtr(z if burst else -z)
+        foreseen.append((_log_sum(log + likelihood) - _log_sum(log), _log_sum(before + likelihood)))
+        log = log + likelihood
     return SteamLimit(
         middle,
         scatter,

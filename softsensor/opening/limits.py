@@ -104,7 +104,7 @@ class Broken:
     cure: Array | float = 0.0
     """That one face or the other has cured too little."""
     beyond: Mapping[str, Array] = field(default_factory=dict)
-    """By how many standard deviations limits are broken, by name: tells apart what is broken for certain."""
+    """By how many standard deviations limits are broken, by name: separates what is broken for certain."""
 
     __repr__ = on_screen
 

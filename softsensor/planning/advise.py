@@ -248,9 +248,9 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
         raise InputError(say("advise-no-limit"))
     if wish.limits.cure_least is not None and wish.resin is None:
         raise InputError(say("advise-cure-without-resin"))
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     programmes = _grid(task, wish)
-    tell("draws", 0.0)
+    report("draws", 0.0)
     drawn = ensemble(task, programmes[len(programmes) // 2])
     if not len(_allowed(drawn.press_times, wish)[0]):
         low, high = wish.ranges["press_time_s"]
@@ -258,7 +258,7 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
     kinetics = None if wish.resin is None else kinetics_of(wish.resin)
     tried, known = [], []
     for i, programme in enumerate(programmes):
-        tell(f"{programme.platen_C:g}", (i + 1) / (len(programmes) + 1))
+        report(f"{programme.platen_C:g}", (i + 1) / (len(programmes) + 1))
         courses = drawn.courses(programme)
         quantities = quantities_of(drawn, courses, wish, kinetics)
         known.append(quantities)

@@ -1,4 +1,4 @@
-"""What runs that were not pressed would tell: the algebra, closed in form.
+"""What runs that were not pressed would show: the algebra, closed in form.
 
 A run of n like it says about shared numbers x, its own numbers solved for, with information H about them in each
 run and P known before:

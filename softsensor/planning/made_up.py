@@ -120,7 +120,7 @@ def made_up_run(task: Task, programme: Programme) -> tuple[Run, Moments]:
     Raises
     ------
     InputError
-        For a panel that cannot be, and for a load whose unit nothing tells where the model follows it.
+        For a panel that cannot be, and for a load whose unit is unknown where the model follows it.
     """
     if not task.press.has_states:
         raise InputError(say("advise-press-without-states", press=task.press.name))

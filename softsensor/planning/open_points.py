@@ -75,7 +75,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Rivalry:
-    """What pressings of one kind would tell between the first explanation and another one."""
+    """What pressings of one kind would decide between the first explanation and another one."""
 
     other: Contender
     run: RunInformation
@@ -184,7 +184,7 @@ def contender(
 
 
 def open_causes(found: Diagnosis, past: Sequence[DesignPoint], constants: Sequence[str]) -> list[OpenPoint]:
-    """Return the sets that the runs do not tell apart, and what is suspected, against none at all."""
+    """Return the sets that the runs do not distinguish, and what is suspected, against none at all."""
     return [_of_causes(found, f, contest, past, constants) for f, contest in contested(found)]
 
 

@@ -172,7 +172,7 @@ def plan(
     ranges
         By factor what the user can set (`program.FACTORS`); the runs' own, modestly widened, where not given.
     progress
-        Told what is being done and the share done.
+        Called with what is being done and the share done.
     causes_alone
         Leave out numbers known less well than wanted.
 
@@ -181,12 +181,12 @@ def plan(
     InputError
         For a range of something these runs do not set, or beyond its limits.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     stage = found.stages[0]
     digests = [d.digest for d in stage.data]
     settings = [settings_of(d.run, press, d.moments) for d in digests]
     allowed = default_ranges(settings, ranges)
-    tell("runs so far", 0.0)
+    report("runs so far", 0.0)
     described = found.verdict is not Verdict.NOT_DESCRIBED
     idle = not described or (causes_alone and not contested(found))
     past = [] if idle else [design_point_of(press, d, stage.fit) for d in digests]
@@ -199,7 +199,7 @@ def plan(
     bench = _WorkedOut(press, stage, digests[middle], usual, constants)
     advised = []
     for i, point in enumerate(points):
-        tell(point.name, (i + 1) / (len(points) + 1))
+        report(point.name, (i + 1) / (len(points) + 1))
         if (advice := _advice(bench, point, allowed)) is not None:
             advised.append(advice)
     return Plan(len(digests), found.verdict.value, usual, allowed, tuple(advised))

@@ -14,21 +14,21 @@ from softsensor.planning.open_points import NOTHING, OpenPoint, PointKind, Prosp
 from softsensor.planning.plan import Advice, Plan, PlannedPressing
 
 SAVINGS = 3
-"""Sources of doubt that are said, those that would save most."""
+"""Sources of doubt that are shown, those that would save most."""
 
 
-def plan_said(found: Plan) -> Iterator[Message]:
+def plan_messages(found: Plan) -> Iterator[Message]:
     """Say each open point with its pressings, one line each."""
     if found.verdict == Verdict.NOT_DESCRIBED:
         yield say("plan-not-described")
     elif not found.points:
         yield say("plan-nothing-open")
     for advice in found.points:
-        yield point_said(advice.point)
-        yield from pressings_said(advice)
+        yield point_message(advice.point)
+        yield from pressing_messages(advice)
 
 
-def point_said(point: OpenPoint) -> Message:
+def point_message(point: OpenPoint) -> Message:
     """Say what is open."""
     if point.kind is PointKind.COEFFICIENT:
         now, wanted = 100.0 * (point.half_now or 0.0), 100.0 * point.wanted
@@ -39,32 +39,32 @@ def point_said(point: OpenPoint) -> Message:
     return say("plan-open-suspected", causes=causes) if point.suspected else say("plan-open-causes", causes=causes)
 
 
-def pressings_said(advice: Advice) -> Iterator[Message]:
+def pressing_messages(advice: Advice) -> Iterator[Message]:
     """Say the best pressing, the same with a thermocouple in the core, and what repeating brings."""
     kind = advice.point.kind
-    yield best_said(advice)
+    yield best_message(advice)
     if advice.with_core is not None:
-        prospect = prospect_said(advice.with_core.prospect, kind)
-        own = settings_said(advice.with_core) or (say("plan-set-as-usual"),)
+        prospect = prospect_message(advice.with_core.prospect, kind)
+        own = settings_messages(advice.with_core) or (say("plan-set-as-usual"),)
         yield say("plan-with-core", settings=own, prospect=prospect)
     if advice.best.changed:
-        yield say("plan-repeated", prospect=prospect_said(advice.repeated.prospect, kind))
+        yield say("plan-repeated", prospect=prospect_message(advice.repeated.prospect, kind))
 
 
-def best_said(advice: Advice) -> Message:
+def best_message(advice: Advice) -> Message:
     """Say the best pressing alone."""
-    prospect = prospect_said(advice.best.prospect, advice.point.kind)
+    prospect = prospect_message(advice.best.prospect, advice.point.kind)
     if not advice.best.changed:
         return say("plan-best-is-usual", prospect=prospect)
-    return say("plan-best", settings=settings_said(advice.best), prospect=prospect)
+    return say("plan-best", settings=settings_messages(advice.best), prospect=prospect)
 
 
-def settings_said(pressing: PlannedPressing) -> tuple[Message, ...]:
+def settings_messages(pressing: PlannedPressing) -> tuple[Message, ...]:
     """Say what differs from the usual settings."""
     return tuple(say(f"plan-set-{name}", value=pressing.settings[name]) for name in pressing.changed)
 
 
-def prospect_said(prospect: Prospect, kind: PointKind) -> Message:
+def prospect_message(prospect: Prospect, kind: PointKind) -> Message:
     """Say what pressings of a kind would bring."""
     runs = say("plan-runs-too-many", many=MANY) if prospect.runs is None else say("plan-runs", runs=prospect.runs)
     if prospect.chance is not None:
@@ -87,7 +87,7 @@ def advice_title(found: ProgrammeAdvice) -> Message:
     return say("advise-best", seconds=shown.opening.in_s, platen=shown.programme.platen_C, percent=percent)
 
 
-def advice_said(found: ProgrammeAdvice) -> Iterator[Message]:
+def advice_messages(found: ProgrammeAdvice) -> Iterator[Message]:
     """Say the panel, the program to take, what it costs, and what to measure to press shorter."""
     thickness, material = (found.panel.get(f"panel.{key}", "?") for key in ("thickness_mm", "material"))
     yield say("advise-panel", material=material, thickness=thickness)
@@ -103,11 +103,11 @@ def advice_said(found: ProgrammeAdvice) -> Iterator[Message]:
             energy = say("advise-energy-cost", energy=energy, cents=100.0 * best.price * best.energy_kWh)
         yield energy
     for saving in found.savings[:SAVINGS]:
-        yield say("advise-measure", source=source_said(saving.source), seconds=saving.press_time_s)
+        yield say("advise-measure", source=source_message(saving.source), seconds=saving.press_time_s)
     yield say("advise-assumed")
 
 
-def source_said(source: str) -> Message:
+def source_message(source: str) -> Message:
     """Say a source of doubt; a constant goes by its key."""
     own = (COEFFICIENTS, EFFECTS, PLATENS, KINETICS, SORPTION)
     return say(f"advise-source-{source}") if source in own else say("plain-text", text=source)

@@ -4,7 +4,7 @@ The platens follow the press's movements as they did (`softsensor.planning.progr
 run's own fit, and they, the panel's constants, the platens, kinetics and sorption are drawn as for a pressing that
 is planned (`softsensor.planning.made_up`).
 
-It is the same panel, so what the live sensor told of it counts: with y the core of the draws of the run as it was,
+It is the same panel, so what the live sensor estimated counts: with y the core of the draws of the run as it was,
 x any quantity of the pressing asked for, near normal together, and the live core N(m, s²),
 
     E x = mean(x) + b (m - mean(y)),    var x = var(x) - b² var(y) + b² s²,    b = cov(x, y) / var(y).
@@ -41,7 +41,7 @@ LONGEST_S = 1200.0
 
 @dataclass(frozen=True)
 class LiveCore:
-    """What the live sensor told last before the press opened."""
+    """The live sensor's last valid estimate of the core before the press opened."""
 
     time_s: float
     core_C: float  # noqa: N815
@@ -49,7 +49,7 @@ class LiveCore:
 
 
 @dataclass(frozen=True)
-class Told(LiveCore):
+class LiveAndDrawn(LiveCore):
     """The same, and what the draws of the run as it was have there (draws). [°C]"""
 
     drawn: Array
@@ -64,14 +64,14 @@ class Band:
     high: Array
 
     @classmethod
-    def of(cls, draws: Array, told: Told | None) -> Band:
+    def of(cls, draws: Array, live: LiveAndDrawn | None) -> Band:
         """Return the band of draws that are close to normal (draws, rows)."""
         middle, variance = draws.mean(axis=0), draws.var(axis=0, ddof=1)
-        if told is not None:
-            away = told.drawn - told.drawn.mean()
+        if live is not None:
+            away = live.drawn - live.drawn.mean()
             slope = away @ (draws - middle) / (away @ away)
-            middle = middle + slope * (told.core_C - told.drawn.mean())
-            variance = variance + slope**2 * (told.sd_K**2 - told.drawn.var(ddof=1))
+            middle = middle + slope * (live.core_C - live.drawn.mean())
+            variance = variance + slope**2 * (live.sd_K**2 - live.drawn.var(ddof=1))
         wide = BAND * np.sqrt(np.maximum(variance, 0.0))
         return cls(middle, middle - wide, middle + wide)
 
@@ -145,13 +145,13 @@ def what_if(pressed: Pressed, settings: Mapping[str, float] = MappingProxyType({
     InputError
         As `changed`; for a pressing longer than `LONGEST_S`, and for a panel or press that cannot be solved.
     """
-    made, told = _Solved.of(pressed, settings), None
+    made, live = _Solved.of(pressed, settings), None
     if pressed.live is not None:
         as_it_was = _Solved.of(pressed, {}) if settings else made
         row = int(np.abs(as_it_was.run.time_s - pressed.live.time_s).argmin())
-        told = Told(**vars(pressed.live), drawn=as_it_was.core[:, row])
-    cure, steam = made.cure(pressed.resin, told), made.steam(pressed.resin, told)
-    core = Band.of(made.core, told).within(float(made.layers.min()), float(made.layers.max()))
+        live = LiveAndDrawn(**vars(pressed.live), drawn=as_it_was.core[:, row])
+    cure, steam = made.cure(pressed.resin, live), made.steam(pressed.resin, live)
+    core = Band.of(made.core, live).within(float(made.layers.min()), float(made.layers.max()))
     return WhatIf(made.run, made.moments, core, cure, steam)
 
 
@@ -178,22 +178,22 @@ class _Solved:
         layers, core = (np.stack([s.places[:, at] for s in solved]) for at in (slice(-1), -1))
         return cls(made, moments, drawn, layers, core)
 
-    def cure(self, resin: Resin | None, told: Told | None) -> Band:
+    def cure(self, resin: Resin | None, live: LiveAndDrawn | None) -> Band:
         """Return the cure of the less cured face, near normal in ln equivalent time."""
         if resin is None:
             return Band(*np.full((3, len(self.run.time_s)), np.nan))
         kinetics, errors = kinetics_of(resin), self.drawn.draws.of(KINETICS).T
         faces = np.stack([self.layers[:, :, 0], self.layers[:, :, -1]])
         equivalent = equivalent_course(kinetics, self.run.time_s, faces, errors).min(axis=0)
-        log = Band.of(np.log(np.maximum(equivalent, 1e-30)), told)
+        log = Band.of(np.log(np.maximum(equivalent, 1e-30)), live)
         return Band(*(kinetics.cure(np.exp(x)) for x in (log.middle, log.low, log.high)))
 
-    def steam(self, resin: Resin | None, told: Told | None) -> Band:
+    def steam(self, resin: Resin | None, live: LiveAndDrawn | None) -> Band:
         """Return the steam, near normal in ln p; not known without the panel's moisture."""
         rows = self.layers.shape[1]
         if (doubt := self.drawn.doubts.get(MOISTURE)) is None:
             return Band(*np.full((3, rows), np.nan))
         thin = np.unique(np.linspace(0, rows - 1, STEAM_ROWS).astype(int))
         pressure = steam_of(self.drawn.draws, doubt, self.layers[:, thin], resin)
-        log = Band.of(np.log(pressure), told)
+        log = Band.of(np.log(pressure), live)
         return Band(*(np.exp(np.interp(np.arange(rows), thin, x)) for x in (log.middle, log.low, log.high)))

@@ -10,13 +10,13 @@ from daq.words.message import ENGLISH
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.rehearsal import Rehearsal
-from softsensor.diagnosis.summary import chance, core_said, law_said, sureness, verdict_said, worth
+from softsensor.diagnosis.summary import chance, core_messages, law_messages, sureness, verdict_messages, worth
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called, parameters_shown, place_words
 from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page, signed_kelvins
-from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
+from softsensor.report.rehearsal_rows import HEADS, none_message, rehearsal_rows
 
 SHOWN_CANDIDATES = 8
 """By hand, 2026-11: what a page of print holds."""
@@ -30,17 +30,17 @@ def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehea
         language,
         press=found.final.fit.layout.model.press.name,
         title=Message(f"diagnosis-verdict-{found.verdict}"),
-        sentence=verdict_said(found),
+        sentence=verdict_messages(found),
         runs=len(found.stages[0].data),
         findings=[_finding(found, f) for f in found.findings],
         where=list(_where(found)),
-        cost=core_said(found),
+        cost=core_messages(found),
         numbers=list(_numbers(found)),
         noise=found.noise_floor_K,
         candidates=[_candidate(c) for c in found.candidates[:SHOWN_CANDIDATES]],
         next=found.next_measurement,
         warnings=found.warnings,
-        law=law_said(found),
+        law=law_messages(found),
         **diagnosis_pictures(curves_of(found), law, language),
         rehearsal=_rehearsal(rehearsal) if rehearsal is not None else None,
     )
@@ -51,17 +51,17 @@ def _rehearsal(rehearsal: Rehearsal) -> dict[str, Any]:
         "title": say("rehearsal-title", runs=rehearsal.runs),
         "heads": [say(code) for code in HEADS],
         "rows": rehearsal_rows(rehearsal),
-        "none": none_said(rehearsal),
+        "none": none_message(rehearsal),
     }
 
 
 def _finding(found: Diagnosis, f: Finding) -> dict[str, Any]:
     effect = find_effect(f.name)
-    said = worth(found, f)
+    gain = worth(found, f)
     if not f.of_channels:
         share = min(f.explained_share, 1.0)
         runs = len(found.stages[0].data)
-        said = say("report-worth", percent=100 * share, worth=said, sureness=sureness(f, runs))
+        gain = say("report-worth", percent=100 * share, worth=gain, sureness=sureness(f, runs))
     return {
         "name": say("list-of-names", names=tuple(map(called, f.set))),
         "label": f.name,
@@ -70,7 +70,7 @@ def _finding(found: Diagnosis, f: Finding) -> dict[str, Any]:
         "core": effect.core,
         "confirm": [find_effect(name).confirm for name in f.set] if len(f.set) > 1 else [],
         "parameters": parameters_shown(f.name, {name: i.as_json() for name, i in f.parameters.items()}),
-        "worth": said,
+        "worth": gain,
         "against": [say("report-preferred", cause=called(name), t=t) for name, t in f.against],
     }
 

@@ -82,11 +82,11 @@ def sheet(size: tuple[float, float], language: str, title: Message | None = None
         yield figure
         sign = words(say("report-tenths", value=0.5), language)[1]
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-            told = axis.get_major_formatter()
-            if isinstance(told, ScalarFormatter):
+            formatter = axis.get_major_formatter()
+            if isinstance(formatter, ScalarFormatter):
                 axis.set_major_formatter(_Signed(sign))
-            elif isinstance(told, StrMethodFormatter):
-                axis.set_major_formatter(FuncFormatter(_with_sign(told, sign)))
+            elif isinstance(formatter, StrMethodFormatter):
+                axis.set_major_formatter(FuncFormatter(_with_sign(formatter, sign)))
 
 
 def svg(figure: Figure) -> str:
@@ -97,8 +97,8 @@ def svg(figure: Figure) -> str:
     return buffer.getvalue().decode()
 
 
-def _with_sign(told: StrMethodFormatter, sign: str) -> Callable[[float, int | None], str]:
-    return lambda value, place: told(value, place).replace(".", sign)
+def _with_sign(formatter: StrMethodFormatter, sign: str) -> Callable[[float, int | None], str]:
+    return lambda value, place: formatter(value, place).replace(".", sign)
 
 
 class _Signed(ScalarFormatter):
@@ -323,7 +323,7 @@ def _coefficient_title(campaign: CampaignFit, name: str) -> Message:
 
 
 def scattered(campaign: CampaignFit) -> list[str]:
-    """Return the coefficients that several runs know: of the others nothing tells how they differ."""
+    """Return the coefficients that several runs know: of the others nothing shows how they differ."""
     return [name for name, c in campaign.coefficients.items() if c.runs > 1]
 
 

@@ -33,7 +33,7 @@ from softsensor.report.page import page
 STEPS = {"platen_temperature_C": 10.0, "pressure_N_cm2": 10.0, "press_time_s": 10.0}
 """Steps of the settings for which the page gives a change."""
 RESAMPLED_RUNS = 4
-"""From so many runs on a bootstrap's 95 % interval is told: of three, the lowest value drawn three times is
+"""From so many runs on a bootstrap's 95 % interval is given: of three, the lowest value drawn three times is
 already 1 in 27 of all draws, more than the 2.5 % below an end, and the interval would be their range."""
 
 
@@ -87,11 +87,11 @@ def finding(campaign: CampaignFit) -> tuple[Message | str, ...]:
     names = tuple(n for n, c in campaign.coefficients.items() if c.runs >= max(1, 0.9 * len(met)))
     rest = tuple(n for n in campaign.coefficients if n not in names)
     known = say("list-of-names", names=names) if names else known_names(names, total)
-    said = [
+    counts = [
         say("report-fitted", runs=len(met), fit=fit, guesses=guesses),
         say("report-known", runs=len(met), known=known),
     ]
-    return (*shortfall, *said, *([say("report-not-known", runs=len(met), names=rest)] if rest else []))
+    return (*shortfall, *counts, *([say("report-not-known", runs=len(met), names=rest)] if rest else []))
 
 
 def _core_svg(fitted: RunFit, language: str) -> str:
@@ -219,6 +219,6 @@ def paper_report(found: Reproduction, language: str = ENGLISH) -> str:
         "paper_report.html",
         language,
         rows=[list(row.values()) for row in found.rows],
-        last=found.said,
+        last=found.message,
         figure=svg(roughness_figure(found, language)),
     )

@@ -21,7 +21,7 @@ from softsensor.fitting.result import RunFit
 WIDTH, HEIGHT = 150.0, 84.0
 """Of one profile. [px]"""
 RED, BLUE = (178, 24, 43), (33, 102, 172)
-"""ColorBrewer's ends of RdBu, which a colour-blind reader tells apart too."""
+"""ColorBrewer's ends of RdBu, which a colour-blind reader distinguishes too."""
 CEILING = 2.5
 """Rise drawn, in thresholds."""
 
@@ -62,7 +62,7 @@ def _picture(name: str, shape: LikelihoodProfile, fitted: RunFit) -> Picture:
     down = HEIGHT * (1.0 - np.clip(heights / (CEILING * shape.threshold), 0.0, 1.0))
     return Picture(
         name,
-        fitted.coefficients[name].verdict.said,
+        fitted.coefficients[name].verdict.message,
         " ".join(f"{a:.1f},{d:.1f}" for a, d in zip(across, down, strict=True)),
         HEIGHT * (1.0 - 1.0 / CEILING),
         float(WIDTH * (best - xs[0]) / span),
@@ -93,8 +93,8 @@ def _cell(value: float) -> dict[str, Message | str]:
     tint = [round(255 - strength * (255 - c)) for c in (RED if value > 0 else BLUE)]
     colour = ",".join(map(str, tint))
     ink = "black" if _luminance(tint) > EVEN else "white"
-    said = say("report-signed", sign="-" if value < 0.0 else "+", value=abs(float(value)))
-    return {"text": said, "colour": f"rgb({colour})", "ink": ink}
+    text = say("report-signed", sign="-" if value < 0.0 else "+", value=abs(float(value)))
+    return {"text": text, "colour": f"rgb({colour})", "ink": ink}
 
 
 EVEN = math.sqrt(1.05 * 0.05) - 0.05

@@ -1,4 +1,4 @@
-"""The nightly job's page: what was fitted, what drifts, what the diagnosis said, which model is in force."""
+"""The nightly job's page: what was fitted, what drifts, what the diagnosis found, which model is in force."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def night_report(night: NightRecord, language: str = ENGLISH, link: str = "") ->
         in_force=_in_force(night.in_force or {}, bodies),
         diagnosis=_found(night.diagnosis),
         pictures=_pictures(night.diagnosis, language),
-        drifts=[say("night-drift", coefficient=bodies(name), said=said) for name, said in night.outcome.drifts],
+        drifts=[
+            say("night-drift", coefficient=bodies(name), said=message) for name, message in night.outcome.drifts
+        ],
         runs=[_run(r.run, r.started_utc, fit) | {"link": _link(link, r.run)} for r, fit in night.runs],
         failures=[entry.message for entry in night.failures],
     )
@@ -100,8 +102,8 @@ def _run(name: str, started_utc: datetime | None, fit: Mapping[str, Any] | None)
     if any(warning["code"] == "fit-not-described-check" for warning in fit.get("warnings_said", ())):
         rmse = say("night-run-not-described", rmse=rmse)
     version = fit["model_version"]
-    told = say("night-with-press-file") if version == PRESS_FILE else version
-    return {"run": name, "started": started, "rmse": rmse, "guesses": guesses, "with": told}
+    shown = say("night-with-press-file") if version == PRESS_FILE else version
+    return {"run": name, "started": started, "rmse": rmse, "guesses": guesses, "with": shown}
 
 
 def _in_force(model: Mapping[str, Any], bodies: Callable[[str], Message | str]) -> list[dict[str, Any]]:
@@ -113,7 +115,7 @@ def _in_force(model: Mapping[str, Any], bodies: Callable[[str], Message | str]) 
         for name, entry in table.get("parameters", {}).items():
             if known[name].fixed:
                 continue
-            scale = (known[name].factor, known[name].told_unit)
+            scale = (known[name].factor, known[name].shown_unit)
             row = _row(effect.key(name), effect.parameter_called(name), scale, entry)
             rows.append(row | {"short": effect.called})
     return rows
@@ -127,8 +129,8 @@ def _bodies(press_file: str) -> Callable[[str], Message | str]:
         return lambda name: name
 
     def words(name: str) -> Message | str:
-        said = coefficient_words(described, name)
-        return said if str(said) else name
+        bodies = coefficient_words(described, name)
+        return bodies if str(bodies) else name
 
     return words
 
@@ -148,11 +150,11 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
         return None
     return {
         "verdict": Message(f"diagnosis-verdict-{diagnosis['verdict']}"),
-        "next": _said(diagnosis, "next_measurement"),
+        "next": _sentence(diagnosis, "next_measurement"),
         "effects": [
             {
                 "name": say("list-of-names", names=tuple(called(n) for n in e["set"])),
-                "worth": _said(e, "worth"),
+                "worth": _sentence(e, "worth"),
                 "parameters": parameters_shown(e["name"], e["parameters"]),
             }
             for e in diagnosis.get("effects", ())
@@ -160,10 +162,10 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
     }
 
 
-def _said(content: Mapping[str, Any], key: str) -> Message | str:
+def _sentence(content: Mapping[str, Any], key: str) -> Message | str:
     """Return a sentence of a stored diagnosis, the English text where an earlier version stored no code."""
-    said = content.get(f"{key}_said")
-    return Message.from_json(said) if said else str(content.get(key, ""))
+    coded = content.get(f"{key}_said")
+    return Message.from_json(coded) if coded else str(content.get(key, ""))
 
 
 def with_spread(value: float, sd: float) -> tuple[Message, Message | str]:

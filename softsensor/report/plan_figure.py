@@ -11,7 +11,7 @@ from daq.printed import LINE
 from daq.words import say
 from daq.words.message import ENGLISH, words
 from softsensor.planning.plan import Plan
-from softsensor.planning.summary import point_said
+from softsensor.planning.summary import point_message
 from softsensor.report.fit_figures import COLOURS, sheet
 
 
@@ -29,7 +29,7 @@ def plan_figure(found: Plan, language: str = ENGLISH) -> Figure:
                 label = put(say(f"figure-plan-{kind.replace('_', '-')}"))
                 places, worth = zip(*bars, strict=True)
                 ax.barh(places, worth, height=bar, color=COLOURS[number], label=label)
-        names = [textwrap.fill(put(point_said(advice.point)), LINE // 3) for advice in found.points]
+        names = [textwrap.fill(put(point_message(advice.point)), LINE // 3) for advice in found.points]
         ax.set_yticks(range(len(names)), names)
         ax.invert_yaxis()
         ax.set_xscale("symlog", linthresh=1.0)  # a cause is worth hundreds where a coefficient is worth tenths

@@ -24,22 +24,22 @@ class TableRow:
 def rehearsal_rows(rehearsal: Rehearsal) -> Iterator[TableRow]:
     """Yield the rows, a cell for each head."""
     for row in rehearsal.rows:
-        rates = (rate_said(rate) for rate in (row.found, row.alone, row.wrong))
-        yield TableRow(row.hidden.name, (called(row.hidden.name), size_said(row.hidden), *rates))
+        rates = (rate_message(rate) for rate in (row.found, row.alone, row.wrong))
+        yield TableRow(row.hidden.name, (called(row.hidden.name), size_message(row.hidden), *rates))
 
 
-def none_said(rehearsal: Rehearsal) -> Message:
+def none_message(rehearsal: Rehearsal) -> Message:
     """Say how often a cause was named where none was hidden."""
-    return say("rehearsal-none", rate=rate_said(rehearsal.nothing))
+    return say("rehearsal-none", rate=rate_message(rehearsal.nothing))
 
 
-def rate_said(rate: Rate) -> Message:
+def rate_message(rate: Rate) -> Message:
     """Say a count, out of how many, and the interval of its chance."""
     low, high = (100.0 * end for end in rate.ci95)
     return say("rehearsal-rate", count=rate.count, of=rate.of, low=low, high=high)
 
 
-def size_said(hidden: Hidden) -> Message:
+def size_message(hidden: Hidden) -> Message:
     """Say how large a hidden cause is; nothing of one without a size."""
     if not hidden.parameters:
         return say("plain-text", text="")

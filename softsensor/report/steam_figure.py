@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from daq.words import say
 from daq.words.message import ENGLISH, words
-from softsensor.opening.blisters import SteamLimit, limit_said
+from softsensor.opening.blisters import SteamLimit, limit_messages
 from softsensor.report.fit_figures import COLOURS, INK, sheet
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def steam_figure(found: SteamLimit, chance: pd.Series, language: str = ENGLISH) -> Figure:
     """Draw the chance of a blister over steam [kPa], and what half of the panels bear with its interval."""
     put = partial(words, language=language)
-    _, bear, *_ = limit_said(found)
+    _, bear, *_ = limit_messages(found)
     with sheet((7.2, 4.0), language, bear) as figure:
         ax = figure.subplots()
         ax.plot(chance.index, 100.0 * chance, color=COLOURS[0], lw=2.0)

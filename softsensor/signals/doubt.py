@@ -94,7 +94,7 @@ ALLOWED = 2.0
 MOISTURE_PERCENT = 1.0
 """Of a moisture in the header: a meter's reading, or a delivery's. Unverified. [%]"""
 MOISTURE_GUESS = (7.5, 2.0)
-"""Of a wood-based panel of which nothing is said: EN 622-1 and EN 312 have it delivered with 4 to 11 %; middle,
+"""Of a wood-based panel of which nothing is stated: EN 622-1 and EN 312 have it delivered with 4 to 11 %; middle,
 and width/√12. Unverified. [%]"""
 AMBIENT_K, AMBIENT_GUESS_K = 1.0, 4.0
 """Of a room's temperature in the header, by where in the room it was taken; and of 23 °C where none is given, in

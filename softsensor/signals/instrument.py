@@ -1,7 +1,7 @@
 """What sensors, logger, platens and the material's scatter are taken to be: one place for every stack.
 
 Fit, diagnosis and live sensor read the same numbers here; where one of them means something else, the name says
-what. Standard deviations unless said otherwise. "By hand" is a judgement of the month given, not a measurement.
+what. Standard deviations unless stated otherwise. "By hand" is a judgement of the month given, not a measurement.
 Ramps of the press's motion stand in `softsensor.heat.timing`, sizes and chances of effects with each effect.
 """
 
@@ -57,8 +57,8 @@ ROUNDING_K2 = 3e-4
 """Variance that no number of channels averages out: rounding to 0.06 K (width/√12)². Only the live sensor adds it
 to `CHANNEL_WHITE_K`; a fit estimates its white noise from the readings, rounding within. [K²]"""
 CHANNEL_FAST_S, CHANNEL_FAST_LIMITS_S = 10.0, (3.0, 40.0)
-"""How fast a channel forgets its own faster noise: where a run's readings do not tell, and the limits within which
-they do. By hand. [s]"""
+"""How fast a channel forgets its own faster noise: where a run's readings do not show it, and the limits within
+which they do. By hand. [s]"""
 
 # Timing
 
@@ -95,7 +95,7 @@ START_K = 0.3
 By hand."""
 START_TOTAL_K = math.hypot(START_K, PLATEN_CLASS_K)
 """With what the sensor that gave it may be off in all runs, which is of a platen channel's class. Where no face is
-read, nothing else tells the start. The live sensor's number, as `PLATEN_TOTAL_K` is. [K]"""
+read, nothing else shows the start. The live sensor's number, as `PLATEN_TOTAL_K` is. [K]"""
 GUESS_LOG = 0.7
 """Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two. By hand."""
 SPREAD_LOG = 0.15

@@ -1,4 +1,4 @@
-"""When the press moved in a run, by one detector (`daq.press.events`): as wires tell it, and as readings show it.
+"""When the press moved in a run, by one detector (`daq.press.events`): as wires show it, and as readings show it.
 
 Two answers, because two things are asked. A fit, a simulation and the live service want the press's own moments:
 a wire's where there is one (`moments_of`). A diagnosis asks whether panel channels are late against that wire, so
@@ -24,16 +24,16 @@ from daq.words import say
 # Numbers without another source were set by hand, 2026-11.
 
 NEAR_S = 1.5
-"""A wire and the readings that far apart do not tell of one event: then the wire counts. [s]"""
+"""A wire and the readings that far apart do not show one event: then the wire counts. [s]"""
 SAME_INSERTION_S = 5.0
-"""The same for the insertion, which no wire tells. [s]"""
+"""The same for the insertion, which no wire shows. [s]"""
 Switch = tuple[tuple[float, float], tuple[float, float]]
 """Closing and opening by a limit switch: when it was first seen, and how long before it was not. [s]"""
 _NEVER = (math.nan, 0.0)
 
 
 def moments_of(run: Run, press: Press) -> Moments:
-    """Return a run's moments: a wire's where there is one. Raises InputError where nothing tells of the press."""
+    """Return a run's moments: a wire's where there is one. Raises InputError where nothing shows the press."""
     if not press.has_states:
         return Moments(inserted_s=float(run.time_s[0]))
     moments = find_moments(run, press)
@@ -45,7 +45,7 @@ def moments_of(run: Run, press: Press) -> Moments:
 def moments_seen(run: Run, press: Press) -> Moments:
     """Return the moments as the temperatures show them, the limit switch's where they do not.
 
-    Where both tell, the middle of the two: a switch is known to a scan only, and channels with a clock of
+    Where both show it, the middle of the two: a switch is known to a scan only, and channels with a clock of
     their own show an event late; the solver's fine steps should hold the event either way.
     """
     if not press.has_states:
@@ -67,7 +67,7 @@ def moments_seen(run: Run, press: Press) -> Moments:
 
 
 def _between(seen: float, switched: tuple[float, float], wired: float) -> float:
-    """Return the middle of a moment seen and one switched, where they tell of one event; else the wire's."""
+    """Return the middle of a moment seen and one switched, where they show one event; else the wire's."""
     first, gap = switched
     middle = first - gap / 2
     if abs(seen - middle) < NEAR_S:

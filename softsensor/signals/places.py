@@ -1,7 +1,7 @@
 """A run's channels made ready for a fit: grouped by place, screened, and whitened.
 
 Channels at the same place see the same temperature, so what a run says about the heat lies in the mean
-of each place; what tells the channels apart (offset, gain, noise) lies in their deviations from it.
+of each place; what distinguishes the channels (offset, gain, noise) lies in their deviations from it.
 The noise of a place's mean is modelled as two first-order processes, one common to the face and one
 from the channels, plus white noise; a Kalman filter turns it into independent residuals of variance 1,
 with uneven and missing rows treated exactly. Testing samples as if they were independent would make

@@ -1,4 +1,4 @@
-"""Channels that do not tell the truth, found by comparison with their neighbours on the same face, before any fit.
+"""Channels that read something false, found by comparison with their neighbours on the same face, before any fit.
 
 Several thermocouples sit at one place (a face) and see the same temperature. Each is held against the median of
 its face; the worst is left out, and the rest is looked at again. A channel that departs alone is faulty; two that
@@ -71,7 +71,7 @@ class ChannelFault:
     """The place it follows, where swapped."""
 
     @property
-    def said(self) -> Message:
+    def message(self) -> Message:
         """What a person should read."""
         return say(
             f"channel-{self.kind}", column=self.column, kelvin=self.departure_K, place=place_words(self.follows)
@@ -90,7 +90,7 @@ def faces_of(press: Press, run: Run) -> tuple[dict[str, list[str]], tuple[Channe
 
 
 def faulty_channels(press: Press, run: Run, moments: Moments) -> tuple[ChannelFault, ...]:
-    """Return a run's channels that read something else than their face; a face needs three channels to tell."""
+    """Return a run's channels that read something else than their face, where it has three or more."""
     rows = quiet_rows(run.time_s, moments)
     kept, faults = faces_of(press, run)[0], []
     values = {c: run.columns[c][rows] for columns in kept.values() for c in columns}

@@ -11,7 +11,7 @@ import softsensor
 from api.cli import main
 from daq.press.resin_file import LimitsTable, parse_resin
 from daq.records import InputError
-from softsensor.opening.blisters import SteamLimit, believed_limit, learn_limit, limit_said
+from softsensor.opening.blisters import SteamLimit, believed_limit, learn_limit, limit_messages
 from softsensor.opening.limits import STEAM, Normal, PanelState, broken
 
 READ_SD = 0.12
@@ -115,7 +115,7 @@ def test_a_marked_run_teaches_from_its_file() -> None:
 def test_what_is_learned_is_said_with_what_to_write_into_the_resin_file() -> None:
     log = np.log(np.repeat([60.0, 90.0], 10))
     found = learn_limit(Normal(log, np.full(20, 0.05)), np.repeat([False, True], 10))
-    marks, bear, foreseen, write, keep = (str(line) for line in limit_said(found))
+    marks, bear, foreseen, write, keep = (str(line) for line in limit_messages(found))
     assert marks == "20 marked panels whose steam at opening is known, 10 blistered."
     told = found.as_json()
     low, high = told["ci95_kPa"]
@@ -137,7 +137,7 @@ def test_marks_count_once_however_often_what_they_taught_was_written_into_the_re
         )
 
     first = learned(stated)
-    write, keep = (str(line).split(": ")[1].replace(", ", "\n") for line in limit_said(first)[-2:])
+    write, keep = (str(line).split(": ")[1].replace(", ", "\n") for line in limit_messages(first)[-2:])
     second = learned(f"{write}\n{keep}\n")
     assert second.most_kPa == pytest.approx(first.most_kPa, rel=1e-6)
     assert second.ci95_kPa == pytest.approx(first.ci95_kPa, rel=1e-6)

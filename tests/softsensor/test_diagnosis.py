@@ -58,7 +58,7 @@ from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candi
 from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, run_errors, settle, settle_base
 from softsensor.diagnosis.sign_flips import MANY, Pocket, likelihood_p, max_t, pattern_test, sign_patterns
-from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
+from softsensor.diagnosis.summary import as_stored, core_messages, sureness, verdict_messages, worth
 from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, _screened, diagnose, never_seen
 from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN, find_effect
@@ -120,7 +120,7 @@ def test_a_name_that_the_nights_are_not_sure_of_is_only_suspected() -> None:
     assert content["extended"] == content["base"]
     assert content["next_measurement"].startswith("Insulate the rim")
     assert model_of(held.final).effects == ()
-    assert any("heat lost at the rim" in str(said) for said in verdict_said(held))
+    assert any("heat lost at the rim" in str(said) for said in verdict_messages(held))
 
 
 def test_runs_show_a_hidden_cause_each_by_itself_and_none_where_nothing_is_hidden() -> None:
@@ -450,10 +450,10 @@ def test_the_noise_floor_is_the_readings_and_neither_the_misfit_nor_a_cap() -> N
 
 
 def test_a_named_cause_says_what_it_means_for_the_core() -> None:
-    said = sentences(core_said(diagnosed("edge_loss", 501, 7, 0.5)))
+    said = sentences(core_messages(diagnosed("edge_loss", 501, 7, 0.5)))
     assert "K cooler than by the plain model" in said
     assert "Core thermocouples, which took no part in any fit" in said
-    assert "core estimate stays as it is" in sentences(core_said(diagnosed(None, 41)))
+    assert "core estimate stays as it is" in sentences(core_messages(diagnosed(None, 41)))
 
 
 def test_two_runs_without_an_effect_are_too_few() -> None:
@@ -532,7 +532,7 @@ def test_panels_that_differ_as_panels_do_are_no_unknown_effect() -> None:
     assert residual_K(as_given) > EXCESS * found.noise_floor_K
     assert found.base.rmse_K < EXCESS * found.noise_floor_K
     assert found.verdict == "no_effect"
-    assert [m.code for m in verdict_said(found)] == ["verdict-plain-model-explains"]
+    assert [m.code for m in verdict_messages(found)] == ["verdict-plain-model-explains"]
 
 
 def test_a_base_meets_a_run_that_its_own_fit_meets_however_far_off_the_guesses_are() -> None:
@@ -610,7 +610,9 @@ def test_a_rig_of_layers_is_told_nothing_of_panels_and_cores(verdict: Verdict) -
 
 def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_residual() -> None:
     found = diagnosed("sensor_fault", 21, 1)
-    assert sentences(verdict_said(found)).endswith("1 run is too few to distinguish any other cause from chance.")
+    assert sentences(verdict_messages(found)).endswith(
+        "1 run is too few to distinguish any other cause from chance."
+    )
     drawn = [line.get_label() for ax in residual_figure(curves_of(found)).get_axes() for line in ax.get_lines()]
     assert "plain model" in drawn
     assert "by comparison with the channels beside it" in diagnosis_report(found)
@@ -619,18 +621,20 @@ def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_resid
 
 def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     found = diagnosed(None, 41)
-    assert sentences(verdict_said(found)).startswith("The plain model explains these 7 runs")
+    assert sentences(verdict_messages(found)).startswith("The plain model explains these 7 runs")
     beyond_chance = replace(found, verdict=Verdict.UNKNOWN_EFFECT)
-    assert "with a cause added it fits them better than by chance" in sentences(verdict_said(beyond_chance))
+    assert "with a cause added it fits them better than by chance" in sentences(verdict_messages(beyond_chance))
     unlike, elsewhere = ({"panels_alike": False}, {"panels_as_given": False})
     for panels, said in ((unlike, "differ from one another"), (elsewhere, "otherwise than the headers give")):
-        assert said in sentences(verdict_said(replace(beyond_chance, remains=(replace(found.left, **panels),))))
+        assert said in sentences(
+            verdict_messages(replace(beyond_chance, remains=(replace(found.left, **panels),)))
+        )
     differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
-    assert "differs from run to run" in sentences(verdict_said(differs))
+    assert "differs from run to run" in sentences(verdict_messages(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)
-    assert sentences(verdict_said(off)).startswith("No verdict is possible: the model is ")
+    assert sentences(verdict_messages(off)).startswith("No verdict is possible: the model is ")
     doubted = replace(found, suspected=diagnosed("edge_loss", 501, 7, 0.5).findings)
-    assert sentences(verdict_said(doubted)).endswith("Suspected, not proven: heat lost at the rim.")
+    assert sentences(verdict_messages(doubted)).endswith("Suspected, not proven: heat lost at the rim.")
 
 
 def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:

@@ -10,7 +10,7 @@ from daq.press.press_file import read_press
 from daq.words.message import sentences
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.settling import settle_base
-from softsensor.diagnosis.summary import core_said, sureness, where_said
+from softsensor.diagnosis.summary import core_messages, sureness, where_message
 from softsensor.diagnosis.verdict import _where, diagnose
 from softsensor.diagnosis.where import temperatures
 from softsensor.heat.model import ThermalModel
@@ -104,7 +104,7 @@ def test_stretches_told_of_moist_pine_lie_where_water_boils():
     assert rows
     assert all(85.0 < row["low_C"] < row["high_C"] < 115.0 for row in rows)
     low, high = (f"{rows[0][key]:.0f}" for key in ("low_C", "high_C"))
-    assert f"where it measured {low} to {high} °C" in sentences(where_said(pair()))
+    assert f"where it measured {low} to {high} °C" in sentences(where_message(pair()))
     assert f"{temperatures(rows[0])}</td>" in diagnosis_report(pair()).replace("\N{NO-BREAK SPACE}", " ")
 
 
@@ -146,9 +146,9 @@ def test_press_rig_shows_the_load_and_no_sensor_offset():
 
 
 def test_a_rig_without_a_panel_is_told_nothing_about_a_core_and_a_disc_how_its_core_ends():
-    assert "no panel in this rig" in str(core_said(rig())[0])
+    assert "no panel in this rig" in str(core_messages(rig())[0])
     assert "sacrificial" not in str(rig().next_measurement)
-    assert str(core_said(moist())[0]).startswith("At the end of a run, the core is ")
+    assert str(core_messages(moist())[0]).startswith("At the end of a run, the core is ")
 
 
 def test_a_rig_that_never_closes_is_not_told_about_its_closing():

@@ -62,8 +62,8 @@ def test_every_effect_says_what_it_means_and_how_to_confirm_it_in_all_languages(
         called = effect.parameter_called(parameter.name)
         assert known.has(called.code)
         assert len(known.words(called)) > 5
-        assert known.has(parameter.told_unit.code)
-        assert not re.search(r"_|^-$|unit-", known.words(parameter.told_unit))
+        assert known.has(parameter.shown_unit.code)
+        assert not re.search(r"_|^-$|unit-", known.words(parameter.shown_unit))
 
 
 @by_name

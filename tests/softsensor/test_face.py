@@ -35,7 +35,7 @@ from daq.words import say
 from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
-from softsensor.planning.summary import point_said
+from softsensor.planning.summary import point_message
 from tests.screens import ROWS, flooding, rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -712,7 +712,7 @@ def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):
     (ax,) = results["plan"].plot()
     ax.figure.canvas.draw()
     names = [label.get_text().replace("\n", " ") for label in ax.get_yticklabels()]
-    assert names == [str(point_said(advice.point)) for advice in results["plan"].planned.points]
+    assert names == [str(point_message(advice.point)) for advice in results["plan"].planned.points]
     (legend,) = ax.figure.legends
     assert not legend.get_window_extent().overlaps(ax.get_window_extent())
     assert ax.get_legend() is None

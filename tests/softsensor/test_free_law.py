@@ -25,7 +25,7 @@ from softsensor.diagnosis.laws.choice import Law, free_law
 from softsensor.diagnosis.laws.curve import resembles
 from softsensor.diagnosis.laws.fitting import STRENGTHS, learned_strength
 from softsensor.diagnosis.settling import SettledModel, settle_base
-from softsensor.diagnosis.summary import law_said
+from softsensor.diagnosis.summary import law_messages
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import find_effect
 from softsensor.effects.effect import LawOf
@@ -343,14 +343,14 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     told = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
     one = Law(*told, stage=settled("nothing"), kept={})
     found = SimpleNamespace(law=one, final=settled("nothing"), extended=SimpleNamespace(heldout_rmse_K=1.2))
-    said = [words(m, language) for m in law_said(cast(Diagnosis, found))]
+    said = [words(m, language) for m in law_messages(cast(Diagnosis, found))]
     assert part in said[0]
     assert len(said) == 4
     assert {"en": "falls by 50 % between 0 and 30", "de": "zwischen 0 und 30 um 50 %"}[language] in said[1]
     content = one.as_json()
     assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
     assert all(len(row) == 4 for row in content["curve"])
-    assert law_said(cast(Diagnosis, SimpleNamespace(law=None))) == ()
+    assert law_messages(cast(Diagnosis, SimpleNamespace(law=None))) == ()
 
 
 @pytest.mark.parametrize("side", [LawOf.CONTACT_LOWER, LawOf.CONTACT_UPPER])

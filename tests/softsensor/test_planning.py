@@ -36,7 +36,7 @@ from softsensor.planning.information import (
 from softsensor.planning.open_points import OpenPoint, PointKind, contender
 from softsensor.planning.plan import plan
 from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
-from softsensor.planning.summary import plan_said
+from softsensor.planning.summary import plan_messages
 from softsensor.signals.digest import digest_run
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.moments import moments_seen
@@ -256,7 +256,7 @@ def test_a_model_that_does_not_describe_the_runs_forecasts_no_pressing() -> None
     assert plan(press(), found).points  # two runs leave coefficients open
     off = plan(press(), replace(found, verdict=Verdict.NOT_DESCRIBED))
     assert not off.points
-    assert [m.code for m in plan_said(off)] == ["plan-not-described"]
+    assert [m.code for m in plan_messages(off)] == ["plan-not-described"]
 
 
 def test_what_if_is_the_pressing_that_other_settings_really_give() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.words.message import sentences
-from softsensor.diagnosis.summary import verdict_said
+from softsensor.diagnosis.summary import verdict_messages
 from softsensor.diagnosis.verdict import diagnose
 from softsensor.report.diagnosis_report import diagnosis_report
 
@@ -27,7 +27,7 @@ def main(cause: str, report: Path) -> None:
     )
     report.write_text(diagnosis_report(found), encoding="utf-8")
     hidden = campaign[0][1].effects or campaign[0][1].outside
-    sys.stdout.write(f"{found.verdict}: {sentences(verdict_said(found))}\nhidden was {hidden}\n")
+    sys.stdout.write(f"{found.verdict}: {sentences(verdict_messages(found))}\nhidden was {hidden}\n")
 
 
 if __name__ == "__main__":

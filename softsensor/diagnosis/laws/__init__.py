@@ -1,4 +1,4 @@
-"""What is missing as a free function: where no cause of the catalogue explains the runs, they tell its law.
+"""What is missing as a free function: where no cause of the catalogue explains the runs, they show its law.
 
 Read `kinds` (of what a law is, and by which variable), `fitting` (a kind fitted beside everything else), `curve`
 (its band, and which known cause it is like), `choice` (whether there is a law, and which).
@@ -15,7 +15,7 @@ kind               variable                     curve
                                                 ``contact_lower`` and ``contact_upper`` on one of them alone, 1
                                                 where it is the press's closed coefficient as the other is
 ``contact_by_load``  ``load_share``             factor on the closed panel's contacts by the pressure over its
-                                                reference, 1 there; told apart only by pressures that change within
+                                                reference, 1 there; distinct only by pressures that change within
                                                 a pressing, as each has contacts of its own
 ``conductivity``     ``temperature_C``          factor on the panel's conductivity
 ``contact_by_temperature``
@@ -29,8 +29,8 @@ kind               variable                     curve
 
 Runs left out decide: each, with the law from the others and its own contacts fitted, must be met better than
 without a law, with an interval above nothing; for each the kind is chosen by the other runs. Kinds that these do
-not tell from the best form a set. A source by time is not
-tried: what follows it stays unknown, or is told by the nearest kind.
+not distinguish from the best form a set. A source by time is not
+tried: what follows it stays unknown, or is described by the nearest kind.
 
 References
 ----------

@@ -33,7 +33,7 @@ class Law:
     gain: Gain
     """On runs left out."""
     set: tuple[str, ...]
-    """Kinds that runs left out do not tell apart, the best first."""
+    """Kinds that runs left out do not distinguish, the best first."""
     resembles: str | None
     """The cause of the catalogue whose curve lies in the band."""
     stage: SettledModel

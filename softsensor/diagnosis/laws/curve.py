@@ -20,8 +20,8 @@ INSIDE = 0.9
 
 
 def curve_of(law: Tried) -> Array:
-    """Return the curve with its 95 % band as it is told (points, 4)."""
-    return np.stack([law.kind.x, *map(law.kind.told, band(law))], axis=1)
+    """Return the curve with its 95 % band in the law's unit (points, 4)."""
+    return np.stack([law.kind.x, *map(law.kind.quantity, band(law))], axis=1)
 
 
 def band(law: Tried) -> tuple[Array, Array, Array]:
@@ -55,7 +55,7 @@ def resembles(kind: LawOf, curve: Array) -> str | None:
     """Return the cause of the catalogue whose own curve lies within the band, nearest to the law; None without."""
     x, value, low, high = curve.T
     sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
-    apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS[LawOf.CONTACT]) - 1)  # no sharper can the knots tell it
+    apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS[LawOf.CONTACT]) - 1)  # no sharper can the knots show it
     sized = kind in (LawOf.HEAT, LawOf.EXCHANGE)
 
     def holds(shape: Any) -> bool:

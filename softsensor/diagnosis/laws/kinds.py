@@ -46,7 +46,7 @@ from softsensor.signals.digest import Digest
 # Numbers without another source were set by hand, 2026-11.
 
 COLDEST_K = 15.0
-"""So far above the panel's start a law of temperature begins: below, it is not told from the start. [K]"""
+"""So far above the panel's start a law of temperature begins: below, it is one with the start. [K]"""
 HEAT_SIZE = 1e3
 """Of a law of heat, about the heat capacity of wood per volume. [kJ/m³K]"""
 EXCHANGE_SIZE = 1e3
@@ -64,11 +64,11 @@ class LawKind:
     unit: str
     effect: Effect
     x: Array
-    """Where the curve is told (points)."""
+    """Where the curve is given (points)."""
     weights: Array
     """Of the fitted numbers at these points (points, knots)."""
-    told: Callable[[Array], Array]
-    """From the smooth function to what is told."""
+    quantity: Callable[[Array], Array]
+    """From the smooth function to the law's quantity, in `unit`."""
     kept: Callable[[Array], dict[str, float]]
     """From the fitted numbers to those a model file keeps (`effects.free_law`), its strength aside."""
 
@@ -122,7 +122,7 @@ def contact_by_time(last_s: float, side: str = "") -> LawKind:
 
 
 def _coldest_closed(digests: Sequence[Digest]) -> float:
-    """Return the coldest face once a press has closed: what it passes while that closes tells no contact. [°C]"""
+    """Return the coldest face once a press has closed: what it passes while that closes shows no contact. [°C]"""
     shut = [(d.time > d.moments.closed_s + d.moments.ramp_s) & ~(d.time > d.moments.opened_s) for d in digests]
     found = (np.nanmin(d.y[rows], initial=np.inf) for d, rows in zip(digests, shut, strict=True))
     return float(min(found))

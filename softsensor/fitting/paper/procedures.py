@@ -260,7 +260,7 @@ class Reproduction:
         }
 
     @property
-    def said(self) -> Message:
+    def message(self) -> Message:
         """What the two curves show."""
         adaptive, exact = self.slope_changes
         span = 100 * float(self.relative[-1] - 1.0)
