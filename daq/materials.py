@@ -62,6 +62,11 @@ class Material:
     heat_capacity: Constant
     """[J/kgK]"""
 
+    @property
+    def effusivity(self) -> float:
+        """√(k ρ c), by which a face of a half-space takes up heat: 2/√π q √t / e. [W√s/m²K]"""
+        return math.sqrt(self.conductivity.value * self.density.value * self.heat_capacity.value)
+
 
 MATERIALS = {
     "MDF": Material(Constant(740.0, _FSRI_MDF), Constant(0.12, _FSRI_MDF), Constant(1550.0, _WOOD_HANDBOOK)),

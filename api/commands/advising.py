@@ -16,7 +16,7 @@ from api.commands.planning import parse_ranges
 from api.outputs import as_json, check_writable, spoken_language, tell, working, write_all
 from daq.records import InputError
 from daq.words import say
-from softsensor.planning.wishes import OPEN_S, PRICE, WAITING_S
+from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
 
 KnownModel = Annotated[Path, typer.Option("--model", metavar="FILE", help="help-model")]
 ResinFile = Annotated[Path | None, typer.Option("--resin", metavar="FILE", help="help-advice-resin")]
@@ -50,8 +50,8 @@ class AdviseOptions:
     core_most: CoreMost = None
     probability: Probability = None
     price: Price = None
-    waiting: Waiting = 10.0
-    open_for: OpenFor = 30.0
+    waiting: Waiting = USUAL_WAITING_S
+    open_for: OpenFor = USUAL_OPEN_S
     json: JsonOut = None
     svg: SvgFile = None
 

@@ -58,7 +58,7 @@ class Command(TyperCommand):
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
         """Return what the word may become, for the shell."""
-        return _with_words(super().shell_complete(ctx, incomplete))
+        return _with_words(super().shell_complete(ctx, incomplete), self.get_params(ctx))
 
     def get_help(self, ctx: Any) -> str:
         """Return the help page."""
@@ -84,7 +84,7 @@ class Group(TyperGroup):
         for item in found:
             if item.value in self.commands:
                 item.help = command_help(item.value).code
-        return _with_words(found)
+        return _with_words(found, self.get_params(ctx))
 
     def get_help(self, ctx: Any) -> str:
         """Return the help page."""
@@ -92,21 +92,62 @@ class Group(TyperGroup):
         return "\n".join([*help_lines(self, ctx), *_section(say("help-commands"), commands)])
 
 
-def _with_words(items: list[Any]) -> list[Any]:
+def _with_words(items: list[Any], parameters: Iterable[Any]) -> list[Any]:
     """Give completions their help from the catalogues, where they have one, each in a line."""
     from rich.markup import escape  # the shell's scripts have markup taken out
 
+    known = {name: parameter_help(one) for one in parameters for name in one.opts}
     for item in items:
-        if item.value == "--help":
-            item.help = "help-help"
-        if item.help:
-            item.help = escape(textwrap.shorten(in_words(Message(item.help)), _width() - 1, placeholder="…"))
+        if told := known.get(item.value, Message(item.help) if item.help else None):
+            item.help = escape(textwrap.shorten(in_words(told), _width() - 1, placeholder="…"))
     return items
 
 
 def command_help(name: str) -> Message:
     """Return what a command does."""
     return Message(f"help-command-{name}")
+
+
+def parameter_help(parameter: Any) -> Message:
+    """Return what an argument or option is, with the limits it has and what stands in for it."""
+    code = "help-help" if parameter.name == "help" else str(parameter.help)
+    limits = {"least": vars(parameter).get("min"), "most": vars(parameter).get("max")}
+    return Message(code, {name: value for name, value in limits.items() if value is not None} | _usual(code))
+
+
+def _usual(code: str) -> dict[str, Any]:
+    """Return what is taken where an option is not given and no default shows it, read where it stands."""
+    if code in ("help-baud", "help-tcp-port", "help-timeout"):
+        from daq.drivers.probe import BAUD, TIMEOUT_S
+        from daq.drivers.profile import TCP_PORT
+
+        return {"baud": BAUD, "port": TCP_PORT, "seconds": TIMEOUT_S}
+    if code == "help-panel":
+        from daq.press.header import USUAL_PANEL
+
+        return {"material": USUAL_PANEL["panel.material"], "millimetres": USUAL_PANEL["panel.thickness_mm"]}
+    if code == "help-probability":
+        from daq.press.resin_file import PROBABILITY
+
+        return {"probability": PROBABILITY}
+    if code in ("help-rehearse-campaigns", "help-reproduce-paper"):
+        from softsensor.fitting.paper.virtual_runs import MEASUREMENTS
+        from softsensor.jobs.rehearsals import CAMPAIGNS
+
+        return {"campaigns": CAMPAIGNS, "measurements": MEASUREMENTS}
+    return _usual_ranges() if code == "help-advice-range" else {}
+
+
+def _usual_ranges() -> dict[str, Any]:
+    from softsensor.planning.advise import DEFAULT_RANGES
+
+    names = {"platen": "platen_temperature_C", "time": "press_time_s", "pressure": "pressure_N_cm2"}
+    ranges = {short: DEFAULT_RANGES[name] for short, name in names.items()}
+    return {
+        f"{short}_{end}": number
+        for short, pair in ranges.items()
+        for end, number in zip(("from", "to"), pair, strict=True)
+    }
 
 
 def placeholders(call: str) -> str:
@@ -126,7 +167,7 @@ def help_lines(command: TyperCommand | TyperGroup, ctx: Any) -> Iterator[str]:
     arguments: list[tuple[str, Message]] = []
     for one in command.get_params(ctx):
         parameter: Any = one
-        told = Message("help-help" if parameter.name == "help" else str(parameter.help))
+        told = parameter_help(parameter)
         if parameter.param_type_name == "argument":
             arguments.append((" ".join(map(placeholders, parameter.get_usage_pieces(ctx))), told))
             continue

@@ -23,7 +23,7 @@ from api.commands.inputs import (
     stored_runs,
 )
 from api.outputs import check_writable, in_words, tell, tell_table, working, write_all
-from daq.records import InputError
+from daq.records import ROOM_C, InputError
 from daq.tables import text_in
 from daq.words import Message, say, spoken
 
@@ -82,22 +82,15 @@ def _reader(mapping: Path | None, press: Press) -> Callable[[Path], Run]:
     return lambda path: read_foreign(path, mapped, temperatures)
 
 
-_SOME_PANEL = {
-    "panel.thickness_mm": 16.0,
-    "panel.density_kg_m3": 740.0,
-    "panel.conductivity_W_mK": 0.12,
-    "panel.heat_capacity_J_kgK": 1550.0,
-    "panel.initial_temperature_C": 20.0,
-}
-
-
 def _refuse_nonsense(run: Run, press: Press) -> None:
     """Refuse header values that cannot be; keys that are missing may be added later."""
-    from daq.press.header import panel_of
+    from daq.press.header import USUAL_PANEL, listed_constants, panel_of
     from daq.press.press_file import press_for_run
 
     press_for_run(press, run)
-    panel_of(replace(run, header={**_SOME_PANEL, **run.header}))
+    some = {key: constant.value for key, constant in listed_constants(USUAL_PANEL).items()}
+    some |= {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C}
+    panel_of(replace(run, header={**some, **run.header}))
 
 
 def _refuse_taken(store: Store, run: Run) -> None:

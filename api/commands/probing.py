@@ -37,7 +37,9 @@ class ProbeOptions:
     ] = None
     transport: Annotated[str | None, typer.Option(metavar="rtu|tcp|rtu_over_tcp", help="help-transport")] = None
     stations: Annotated[str, typer.Option(metavar="LIST", help="help-stations")] = "1"
-    timeout: Annotated[float, typer.Option(min=0.05, max=10.0, metavar="SECONDS", help="help-timeout")] = 0.3
+    timeout: Annotated[float | None, typer.Option(min=0.05, max=10.0, metavar="SECONDS", help="help-timeout")] = (
+        None
+    )
 
 
 @taking(ProbeOptions)
@@ -50,13 +52,14 @@ def probe(asked: ProbeOptions) -> None:
         raise InputError(say("probe-needs-place"))
     given = {"port": asked.port, "host": asked.host, "tcp_port": asked.tcp_port, "transport": asked.transport}
     wire = {key: value for key, value in given.items() if value is not None}
-    if asked.port is not None:
-        wire["baud"] = asked.baud or 9600
     from daq.drivers import probe as probing
     from daq.drivers.protocol import ReadFailure
 
+    if asked.port is not None:
+        wire["baud"] = asked.baud or probing.BAUD
+    wait_s = asked.timeout or probing.TIMEOUT_S
     try:
-        report = probing.probe(wire, stations=_stations(asked.stations), timeout_s=asked.timeout, progress=_tell)
+        report = probing.probe(wire, stations=_stations(asked.stations), timeout_s=wait_s, progress=_tell)
     except ReadFailure as error:
         raise WorkFailed(spoken(error)) from error
     for line in _lines(report):

@@ -23,6 +23,7 @@ from api.http.app import create_app
 from api.http.binding import UNREAD_S, take_port
 from api.http.gate import is_loopback
 from api.http.tokens import ATTEMPT_WINDOW_S, TokenFile
+from daq.process.config import PORT
 from daq.process.notify import Notifier
 from daq.records import InputError
 from daq.store.store import Store
@@ -47,7 +48,7 @@ class Listening:
     """Where and how to listen."""
 
     host: str = "127.0.0.1"
-    port: int = 8765
+    port: int = PORT
     certificate: Path | None = None
     """TLS certificate chain, PEM."""
     key: Path | None = None

@@ -18,7 +18,16 @@ from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.decode import raw_values
 from daq.drivers.link import NEVER_OPENED, Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.opening import open_logger
-from daq.drivers.profile import REGISTERS, Field16, Profile, Scaling, check_profile, profile_names, profile_table
+from daq.drivers.profile import (
+    REGISTERS,
+    TCP_PORT,
+    Field16,
+    Profile,
+    Scaling,
+    check_profile,
+    profile_names,
+    profile_table,
+)
 from daq.drivers.protocol import Cause, NoReply, ReadFailure
 from daq.drivers.settings import LoggerSettings
 from daq.records import ROOM_C, InputError, Quality
@@ -27,6 +36,10 @@ from daq.words import Message, say, spoken
 
 # Numbers without another source were set by hand, 2026-11.
 
+TIMEOUT_S = 0.3
+"""Longest wait for a reply while it is looked what is on a wire: what slow profiles take. [s]"""
+BAUD = 9600
+"""Of a serial line of which nothing is said: as most loggers leave the factory (the profiles)."""
 ROOMS_C = (5.0, 45.0)
 """Where loggers are set up: from an unheated hall in winter to one beside a hot press in summer. [°C]"""
 _DRAIN_S, _TURN_S = 0.3, 0.005
@@ -116,7 +129,7 @@ def probe(
     *,
     stations: Iterable[int] = (1,),
     profiles: Iterable[str] | None = None,
-    timeout_s: float = 0.3,
+    timeout_s: float = TIMEOUT_S,
     progress: Callable[[Message], None] = lambda line: None,
 ) -> ProbeReport:
     """Find out what is on a wire.
@@ -178,14 +191,14 @@ def interpretations(words: Sequence[int], room: tuple[float, float] = ROOMS_C) -
 
 def _place(wire: Mapping[str, Any]) -> Place:
     if wire.get("host"):
-        return SocketPlace(str(wire["host"]), int(wire.get("tcp_port") or 502))
+        return SocketPlace(str(wire["host"]), int(wire.get("tcp_port") or TCP_PORT))
     if not wire.get("port"):
         raise InputError(say("probe-needs-place"))
     if socket := socket_of(str(wire["port"])):
         return socket
     return SerialPlace(
         str(wire["port"]),
-        int(wire.get("baud") or 9600),
+        int(wire.get("baud") or BAUD),
         str(wire.get("parity") or "N"),
         int(wire.get("stop_bits") or 1),
     )
@@ -318,7 +331,7 @@ def _table(name: str, wire: Mapping[str, Any], station: int | None, scaling: str
     if scaling is not None:
         table["scaling"] = scaling
     if "port" in wire:
-        table.setdefault("baud", 9600)
+        table.setdefault("baud", BAUD)
     return table
 
 

@@ -30,6 +30,10 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+TCP_PORT = 502
+"""Of a Modbus device on a network, registered with IANA (MODBUS Messaging on TCP/IP, section 4.2)."""
+
+
 class SerialLine(_Table):
     """Factory setting of the port."""
 
@@ -212,7 +216,7 @@ class Profile(_Table):
     notes: tuple[str, ...] = ()
     address: Annotated[int | None, Field(ge=0, le=255)] = None
     """Factory address; None: the settings must say."""
-    tcp_port: int = 502
+    tcp_port: int = TCP_PORT
     serial: SerialLine | None = None
     timing: Timing
     block: Block | None = None

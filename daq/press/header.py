@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from daq.given import number_of
@@ -60,6 +61,8 @@ VERDICT = "panel.verdict"
 """The key it stands under."""
 CONSTANTS = ("panel.density_kg_m3", "panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """What the material table has of a panel."""
+USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
+"""What is reckoned with where nothing is said of the panel."""
 TABLES = ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """Numbers in whose place a table in temperature may stand: rows of °C and value."""
 TEMPERATURE = "setting.platen_temperature_C"

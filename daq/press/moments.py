@@ -21,17 +21,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.materials import MATERIALS
 from daq.records import ROOM_C, Array, PressEventKind
 
 STEP_S = 0.02
 """Of the grids of onset and time: small beside a scan at 20 Hz. Set by hand, 2026-11. [s]"""
 _CONTACTS = np.geomspace(0.3, 8.0, 15)
-"""Contact coefficient over the panel's effusivity; 700 W/m²K on MDF gives 1.9. [1/√s]"""
+"""Contact coefficient over the panel's effusivity; see `_TYPICAL_CONTACT`. [1/√s]"""
 _CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
 """A press closes in 0.2 to 1 s (contract, section 2), all lengths alike; with some room beyond. [s]"""
 _OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
 """It opens more quickly than it closes. Set by hand, 2026-11. [s]"""
-_TYPICAL_CONTACT, _CONTACT_SPREAD = 1.9, 0.5
+_TYPICAL_CONTACT, _CONTACT_SPREAD = 700.0 / MATERIALS["MDF"].effusivity, 0.5
 """The paper's 700 W/m²K on MDF; its logarithm's spread covers 420 to 1150 W/m²K. [1/√s, 1]"""
 LAGS_S = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
 """Lags of a sensor that are tried. Set by hand, 2026-11. [s]"""
@@ -40,8 +41,8 @@ LAGS_S = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
 
 _LAG_SCALE_S = 0.25
 """A thermocouple taped between two bodies may lag up to a second, but mostly does not. [s]"""
-_SQRT_KELVIN = 2.0 / (np.sqrt(np.pi) * 370.0)
-"""Rise of a face per flux and root of time; 370 is the effusivity of MDF. [K m²/W/√s]"""
+_SQRT_KELVIN = 2.0 / (np.sqrt(np.pi) * MATERIALS["MDF"].effusivity)
+"""Rise of a face of MDF per flux and root of time: a half-space. [K m²/W/√s]"""
 _CLOSED_W_M2K, _AIR_W_M2K, _LYING_W_M2K = 365.0, 12.0, 40.0
 """Roughly what a face gains from its platen, closed; what it loses to air and hall, open; and what it gains where
 it only lies on its plate. How strong a kink is depends on them, and is known no better than `_SIZE_SHARE`.

@@ -42,6 +42,8 @@ from daq.records import InputError
 from daq.tables import at, explained, load_toml, text_in, unknown_key
 from daq.words import Message, say
 
+PORT = 8765
+"""Of the page and the REST interface, unless the configuration has another. By hand."""
 HeaderValue = str | bool | int | float | list[Any]
 
 
@@ -122,7 +124,7 @@ class ServerSettings(_Table):
     """``[server]``: the REST interface and page."""
 
     host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=0, le=65535)] = 8765
+    port: Annotated[int, Field(ge=0, le=65535)] = PORT
     tokens: Path | None = None
     """File with the tokens of readers and writers. None: reading on loopback only."""
 

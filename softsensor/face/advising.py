@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from daq.given import keys_of, number_of
+from daq.press.header import USUAL_PANEL
 from daq.press.resin_file import Resin
 from daq.records import ROOM_C, InputError
 from daq.words import say
@@ -22,7 +22,7 @@ from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
 from softsensor.planning.program import given_ranges
 from softsensor.planning.summary import advice_messages
-from softsensor.planning.wishes import OPEN_S, PRICE, WAITING_S
+from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,10 +67,6 @@ class AdviceResult:
         return lines_html(advice_messages(self.advised))
 
 
-USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
-"""What is advised on where nothing is stated of the panel; the answer names it."""
-
-
 def advise(  # noqa: PLR0913 - one argument a wish
     press: AnyPress,
     model: AnyModel,
@@ -81,8 +77,8 @@ def advise(  # noqa: PLR0913 - one argument a wish
     limits: Mapping[str, float] | None = None,
     goal: str = "time",
     price_per_kWh: float | None = None,
-    waiting_s: float = 10.0,
-    open_s: float = 30.0,
+    waiting_s: float = USUAL_WAITING_S,
+    open_s: float = USUAL_OPEN_S,
     progress: Callable[[str, float], None] | None = None,
 ) -> AdviceResult:
     """Work out press time and platen temperature for a panel not pressed yet.

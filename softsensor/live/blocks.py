@@ -6,10 +6,12 @@ second else. A pass over stored scans takes many blocks in one call of a compile
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from daq.materials import MATERIALS
 from daq.records import Array
 from softsensor.live import block_steps as compiled
 from softsensor.live.block_steps import Blocks, Counted, ScanRows
@@ -20,9 +22,9 @@ from softsensor.signals.screen import LEAST_CHANNELS, LIMIT_K, LIMIT_RATIO
 
 SPARSE_S, BESIDE_S = 2.2, 0.5
 """Faces unread for longer leave a moment in or so near beside the gap unknown: it may lie anywhere in it. [s]"""
-MOVED_SHARE = 0.2
+MOVED_SHARE = 2.0 / math.sqrt(math.pi) * 50.0 * math.sqrt(2.0) / MATERIALS["MDF"].effusivity
 """A face that a closed press heats has gone so much of its way to the platens within 2 s where the contact passes
-50 W/m²K (a half-space of wood, effusivity 370 W√s/m²K: 1.13 h √t / 370), and poorer ones are no press's. [-]"""
+50 W/m²K (a half-space: 2/√π h √t / e), and poorer ones are no press's. [-]"""
 _ROOM = 1024
 """Scans there is room for at first."""
 

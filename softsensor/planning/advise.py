@@ -43,6 +43,7 @@ from softsensor.planning.made_up import (
     steam_of,
 )
 from softsensor.planning.program import Ranges
+from softsensor.planning.wishes import USUAL_OPEN_S
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -82,8 +83,8 @@ class Wish:
     ranges: Ranges = field(default_factory=dict)
     """`DEFAULT_RANGES` where not given."""
     goal: Goal = Goal.TIME
-    open_s: float = 30.0
-    """How long the press stands open between two panels, for energy and throughput. Set by hand. [s]"""
+    open_s: float = USUAL_OPEN_S
+    """How long the press stands open between two panels, for energy and throughput. [s]"""
     price_per_kWh: float | None = None  # noqa: N815
     """In euros."""
 

@@ -18,6 +18,7 @@ from daq.press.press_file import Press, press_for_run
 from daq.press.wires import CLOSED
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
+from softsensor.planning.wishes import WAITING_S
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -47,7 +48,7 @@ FACTORS = {
         Factor("press_time_s", 0.5, 0.0, 5.0, 3600.0),
         Factor("thickness_mm", 0.25, 0.0, 2.0, 80.0),
         Factor("start_temperature_C", 0.0, 10.0, 0.0, 60.0),
-        Factor("waiting_s", 0.5, 10.0, 1.0, 600.0),
+        Factor("waiting_s", 0.5, 10.0, *WAITING_S),
         Factor("pressure_N_cm2", 0.2, 0.0, 10.0, 1000.0),
     )
 }

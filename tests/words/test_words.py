@@ -126,6 +126,14 @@ def test_every_command_and_option_has_its_help_in_every_language(language):
     assert not set(codes) - set(catalogue_of(language).entries())
 
 
+@pytest.mark.parametrize("language", languages())
+def test_no_help_has_a_number_of_its_own(language):
+    """Limits and stand-ins are arguments; examples are part of a word, and port 0 is any free one."""
+    told = {code: text for code, text in catalogue_of(language).entries().items() if code.startswith("help-")}
+    alone = {code: re.findall(r"(?<![^\s(])\d[\d.,]*(?=[\s;.)]|$)", text) for code, text in told.items()}
+    assert {code: found for code, found in alone.items() if set(found) - {"0"}} == {}
+
+
 @pytest.mark.parametrize("language", [one for one in languages() if one != "en"])
 def test_a_language_has_the_words_of_all_codes_with_the_same_variables(language):
     english, other = patterns("en"), patterns(language)
