@@ -48,14 +48,14 @@ _OPENING_AFTER_S = 1.5
 """No press opens sooner after it closed. [s]"""
 UNSEEN_BEFORE_S = 1.0
 """A panel whose insertion nobody saw is put this long before its closing. [s]"""
-_OPENS_AFTER_S = 1.0
+OPENS_AFTER_S = 1.0
 """Rows so long after the middle of the closing still belong to it, not to the opening. [s]"""
 _OPENING_TOP_K, _OPENING_BOTTOM_K, _OPENING_RATIO = 1.8, 0.35, 0.2
 """Both faces fall, the lower by a share of the upper. [K]"""
 _PLAIN_FALL_K = 25.0
 """The upper face alone falls by so much: nothing but an opening does that. [K]"""
-_SANK_BACK_S, _SANK_CLOSED_S = (3.0, 6.0), 1.0
-"""The upper face is also compared with what it was so long ago, where the press had been closed by then. [s]"""
+_SANK_BACK_S = (3.0, 6.0)
+"""The upper face is also compared with what it was so long ago, where the closing was over by then. [s]"""
 _SANK_K, _SANK_RATIO, _SANK_SPARE_K = 4.0, 1.7, 2.5
 """It sank, not only touched worse, where it fell by the first, and by more than its distance to the plate had been
 times the second and the third. [K, -, K]"""
@@ -353,7 +353,7 @@ class PressEventDetector:
 
     def _sank(self, now: _Row, then: _Row | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
-        if then is None or then.time < self._since + _SANK_CLOSED_S:
+        if then is None or then.time < self._since + OPENS_AFTER_S:
             return False
         fall = (then.top - now.top) - max(then.plate - now.plate, 0.0)
         if not (fall > _SANK_K and fall > _SANK_RATIO * max(then.plate - then.top, 0.0) + _SANK_SPARE_K):
@@ -459,7 +459,7 @@ class PressEventDetector:
             return noticed
         times = np.array(self._times)
         top, bottom = np.array([r.top for r in self._rows]), np.array([r.bottom for r in self._rows])
-        after = self._since + _OPENS_AFTER_S if kind is PressEventKind.OPENED else -math.inf
+        after = self._since + OPENS_AFTER_S if kind is PressEventKind.OPENED else -math.inf
         placed = place_moment(
             kind, FaceHistory(times, top, bottom, self._rows[-1].plate), noticed, after, self._lag
         )

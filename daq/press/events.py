@@ -26,7 +26,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq.press.detector import ONE_STEP, UNSEEN_BEFORE_S, PressEventDetector
+from daq.press.detector import ONE_STEP, OPENS_AFTER_S, UNSEEN_BEFORE_S, PressEventDetector
 from daq.press.faces import columns_of, face_of
 from daq.press.moments import FaceHistory, Placed, insertion_moment, place_moment, usual_lag
 from daq.press.press_file import Press
@@ -50,9 +50,6 @@ _ENDS_LIFTED_S = 15.0
 """A run that ends so soon after the panel seems to have left its plate ends with the removal. [s]"""
 _PLACED_BEFORE_S, _PLACED_AFTER_S = 15.0, 0.6
 """Rows from and to so long before and after an event was noticed place it. [s]"""
-_OPENS_AFTER_S = 0.7
-"""Rows so long after the closing was noticed still belong to it, not to the opening; the machine's own second
-counts from its middle. [s]"""
 _SCAN_S = 0.35
 """Between the scans of a stored run the machine looks at: enough to notice; all place the moment. [s]"""
 
@@ -162,7 +159,7 @@ def _refined(
     found: Mapping[PressEventKind, float], times: Array, top: Array, bottom: Array, plate: Array
 ) -> dict[PressEventKind, Placed]:
     """Place all events, the sensors' lag learned from insertion and opening together."""
-    after = {PressEventKind.OPENED: found.get(PressEventKind.CLOSED, -math.inf) + _OPENS_AFTER_S}
+    after: dict[PressEventKind, float] = {}
 
     def place(kind: PressEventKind, lag: Array | None) -> Placed | None:
         near = _window(times, found[kind])
@@ -170,6 +167,10 @@ def _refined(
         faces = FaceHistory(times[near], top[near], bottom[near], hot)
         return place_moment(kind, faces, found[kind], after.get(kind, -math.inf), lag)
 
+    if PressEventKind.CLOSED in found:
+        closing = place(PressEventKind.CLOSED, None)
+        closed = found[PressEventKind.CLOSED] if closing is None else closing.middle
+        after[PressEventKind.OPENED] = closed + OPENS_AFTER_S
     lag = usual_lag()
     for kind in (PressEventKind.INSERTED, PressEventKind.OPENED):
         if kind in found and (first := place(kind, None)) is not None:

@@ -29,6 +29,7 @@ from daq.records import Array
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, tempered
 from softsensor.effects import Need
+from softsensor.signals.instrument import MEAN_SLOW_K
 
 ALPHA = 0.05
 """Of the p-value adjusted for the number of candidates; a convention."""
@@ -40,9 +41,8 @@ without this, three faults outside the catalogue were given names in campaigns o
 FEW_TOTAL = 0.5
 """Few runs have no p-value: a cause brings the held-out residual down to this share at most. Set by hand on
 campaigns of 2 and 4 runs, 2026-11-21."""
-NEGLIGIBLE_K = 0.06
-"""A pattern common to the runs (rms over pockets) below this is none. Set by hand, half of the slow noise a face
-is given (0.12 K). [K]"""
+NEGLIGIBLE_K = 0.5 * MEAN_SLOW_K
+"""A pattern common to the runs (rms over pockets) below half of a face's slow noise is none. [K]"""
 SMALLEST_SIZE, SMALLEST_EXPONENT = 0.25, 0.02
 """A cause has a quarter of its typical size at least. An exponent of pressure over a wide range of loads is plain
 to see when far smaller. Set by hand."""

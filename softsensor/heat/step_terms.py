@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.compiled import compiled
 from daq.printed import on_screen
-from daq.records import GAS_CONSTANT
+from daq.records import COLDEST_C, GAS_CONSTANT
 from softsensor.effects.effect import BENDS_C, REFERENCE_C
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """CODATA 2018, exact. [W/m²K⁴]"""
-ZERO_C = 273.15
+ZERO_C = -COLDEST_C
 """0 °C in kelvin. [K]"""
 BOILING_C = 100.0
 """Water boils at, at 1013 hPa; 99.97 by IAPWS-IF97. [°C]"""
