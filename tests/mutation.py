@@ -1,6 +1,6 @@
 """Change the code in small ways, chosen ones and a seeded sample of each room; see whether the suite notices.
 
-    python -m tests.mutation [--again] [--resume] [--room NAME] [--wider] [--folder DIR]
+    python -m tests.mutation [--seed N | --again] [--resume] [--room NAME] [--wider] [--folder DIR]
     python -m tests.mutation --table
 
 Cosmic Ray makes the mutants; a copy of the tree bears them, never the tree itself. A room, its tests and the
@@ -271,6 +271,7 @@ def read(file: Path) -> list[dict[str, Any]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge the sample and print what survived."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, help="draw another sample than that of mutation.toml")
     parser.add_argument("--again", action="store_true", help="judge the sample of mutation_judged.toml once more")
     parser.add_argument("--table", action="store_true", help="print what mutation_judged.toml holds, and end")
     parser.add_argument("--resume", action="store_true", help="go on where a run before was broken off")
@@ -286,7 +287,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not given.resume:
         file.unlink(missing_ok=True)
     done = {one["name"]: one for one in read(file)}
-    for room, everyone in asked_for(tomllib.loads(PLAN.read_text(encoding="utf-8")), again=given.again).items():
+    plan = tomllib.loads(PLAN.read_text(encoding="utf-8"))
+    if given.seed is not None:
+        plan |= {"seed": given.seed, "mutant": []}
+    for room, everyone in asked_for(plan, again=given.again).items():
         if given.room and room not in given.room:
             continue
         waiting = [(mutant, tests) for mutant, tests in everyone if mutant.name not in done]
