@@ -59,12 +59,16 @@ class StoreTables:
         return f"StoreTables {self.store.label}"
 
     def runs(self, press: str | None = None) -> pd.DataFrame:
-        """Return one row a run, newest first, with the keys of its header."""
+        """Return one row a run, newest first, with the keys of its header.
+
+        A run that is damaged in the store has none, and says why in the column ``damage``, there only then.
+        """
         found = every(lambda cursor: self._opened().runs(press=press, cursor=cursor, limit=HISTORY_ROWS))
         rows = [
             {"run": r.run, "press": r.press, "status": str(r.status), "started_utc": r.started_utc}
             | {"closed_s": r.moments.closed_s, "opened_s": r.moments.opened_s, "remark": r.remark}
             | {key: value for key, value in r.header.items() if key != "run"}
+            | ({} if r.damage is None else {"damage": str(r.damage)})
             for r in found
         ]
         return _table(rows, "run", RUN)
@@ -115,7 +119,7 @@ class StoreTables:
 
     def _check_known(self, run: str) -> None:
         """Refuse a run that the store does not have. Raises `InputError`."""
-        if not self._opened().run_records([str(run)]):
+        if not self._opened().has_run(str(run)):
             raise InputError(say("store-run-missing-here", run=str(run), store=self.store.label))
 
     def _opened(self) -> Store:
@@ -189,7 +193,7 @@ def play(run: AnyRun, store: Path | str, press: str, *, scans: int = 1, pause_s:
     started = played.header.get(STARTED)
     began = started if isinstance(started, datetime) and started.tzinfo else datetime.now(UTC)
     with open_database(_address(store)) as opened:
-        if opened.run_records([played.name]):
+        if opened.has_run(played.name):
             raise InputError(say("store-run-taken", file=played.source or played.name, run=played.name))
         key = opened.register_press(press, [Channel(name) for name in columns])
         rows = [

@@ -107,6 +107,8 @@ def _conditions(
             alarms.append(say("health-archive-away", folder=archive.folder))
         if archive.unsound:
             alarms.append(say("health-archive-unsound", files=archive.unsound, folder=archive.folder))
+    if damaged := tuple(record.run for record in store.damaged_runs()):
+        alarms.append(say("health-runs-damaged", runs=len(damaged), names=damaged, store=store.label))
     if (age_s := refit_age_s(store, statuses, now)) is not None and age_s > REFIT_OVERDUE_S:
         alarms.append(say("health-nightly-job-overdue", hours=age_s / 3600.0))
     return alarms

@@ -103,6 +103,8 @@ def run_summary(store: Store, run: RunRecord, fit: Mapping[str, Any] | None) -> 
         fitted=fit is not None,
         described=None if fit is None else is_described(fit),
         verdict=run.header.get(VERDICT),
+        damage=None if run.damage is None else str(run.damage),
+        damage_said=None if run.damage is None else said_of(run.damage),
     )
 
 

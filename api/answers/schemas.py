@@ -329,6 +329,9 @@ class RunSummary(_Answer):
     """Whether the model describes it; null without a fit."""
     verdict: Verdict | None
     """What became of the panel, as the operator saw it."""
+    damage: str | None = None
+    """Why the run cannot be read any more, and what to do; null: it can."""
+    damage_said: Said | None = None
 
 
 class RunVerdict(_Answer):

@@ -22,7 +22,7 @@ from api.commands.inputs import (
     say_doubts,
     stored_runs,
 )
-from api.outputs import check_writable, in_words, tell, tell_table, working, write_all
+from api.outputs import check_writable, in_words, tell, tell_table, warn, working, write_all
 from daq.records import ROOM_C, InputError
 from daq.tables import text_in
 from daq.words import Message, say, spoken
@@ -94,11 +94,8 @@ def _refuse_nonsense(run: Run, press: Press) -> None:
 
 
 def _refuse_taken(store: Store, run: Run) -> None:
-    try:
-        store.run_record(run.name)
-    except InputError:
-        return
-    raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
+    if store.has_run(run.name):
+        raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
 
 
 @dataclass(frozen=True)
@@ -205,6 +202,9 @@ def _run_rows(store: Store, chosen: Mapping[str, Any]) -> Iterator[tuple[str, ..
         began = (
             f"{run.started_utc:%Y-%m-%dT%H:%M:%SZ}" if run.started_utc else in_words(Message("page-date-unknown"))
         )
+        if run.damage is not None:
+            status = in_words(Message("terminal-list-damaged"))
+            warn(run.damage)
         yield run.run, began, status, run.press, str(material)
 
 

@@ -243,7 +243,7 @@ def _fits(store: Store, position: Position, until: Position | None) -> Iterator[
         position.fit = number
         data = {
             "run": run,
-            "press": store.run_record(run).press,
+            "press": store.run_records([run])[run].press,
             "coefficients": fit.get("coefficients", {}),
             "rmse_K": fit.get("rmse_K"),
             "initial_rmse_K": fit.get("initial_rmse_K"),

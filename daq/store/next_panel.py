@@ -14,9 +14,13 @@ from sqlalchemy import Connection, delete, insert, select, update
 
 from daq.records import InputError
 from daq.store.convert import header_of, header_text, known_utc, unix_of
-from daq.store.records import NextPanel
+from daq.store.journal import log
+from daq.store.records import NextPanel, ScansUnreadable
 from daq.store.schema import NEXT_PANEL, RECIPE
-from daq.words import say
+from daq.store.sound_rows import is_sound, printable, rows_with_damage, store_label
+from daq.words import Message, say, spoken
+
+PROCESS = "record"
 
 RECIPE_KEY = "recipe"
 """Header key with the name of the recipe a run was pressed by."""
@@ -25,10 +29,13 @@ ONCE = "panel.initial_temperature_C"
 
 def next_panel(connection: Connection, press: str) -> NextPanel | None:
     """Return what is said of the next panel of a press, None where nothing is."""
-    row = connection.execute(select(NEXT_PANEL).where(NEXT_PANEL.c.press == press)).first()
-    if row is None:
+    rows = rows_with_damage(connection, select(NEXT_PANEL).where(NEXT_PANEL.c.press == press))
+    if not rows:
         return None
-    return NextPanel(row.press, known_utc(row.unix_s), row.who, row.recipe, header_of(row.header_toml))
+    (row,) = rows
+    damaged = say("panel-next-damaged", press=press, store=store_label(connection.engine.url))
+    header = _header(damaged, row.header_toml, row.recipe)
+    return NextPanel(press, known_utc(row.unix_s), printable(row.who), row.recipe, header)
 
 
 def put_next_panel(connection: Connection, press: str, header: Mapping[str, Any], recipe: str, who: str) -> None:
@@ -39,8 +46,8 @@ def put_next_panel(connection: Connection, press: str, header: Mapping[str, Any]
     InputError
         For a recipe without header keys that is not known.
     """
-    kept = recipes(connection)
     if recipe and not header:
+        kept = recipes(connection)
         if recipe not in kept:
             raise InputError(say("recipe-unknown", recipe=recipe, known=tuple(kept)))
         header = kept[recipe]
@@ -57,17 +64,35 @@ def put_next_panel(connection: Connection, press: str, header: Mapping[str, Any]
 
 
 def recipes(connection: Connection) -> dict[str, dict[str, Any]]:
-    """Return the header keys of all recipes by name."""
-    rows = connection.execute(select(RECIPE).order_by(RECIPE.c.name)).all()
-    return {row.name: header_of(row.header_toml) for row in rows}
+    """Return the header keys of all recipes by name; raises `ScansUnreadable` where one is damaged."""
+    kept, store = {}, store_label(connection.engine.url)
+    for row in rows_with_damage(connection, select(RECIPE).order_by(RECIPE.c.name)):
+        damaged = say("recipe-damaged", recipe=printable(row.name), store=store)
+        kept[row.name] = _header(damaged, row.header_toml, row.name)
+    return kept
+
+
+def _header(damaged: Message, text: str, name: str) -> dict[str, Any]:
+    """Return header keys as they were said; raises `ScansUnreadable` where they or the name are damaged."""
+    try:
+        if is_sound(text) and is_sound(name):
+            return header_of(text)
+    except (TypeError, ValueError, AttributeError, RecursionError):
+        pass
+    raise ScansUnreadable(damaged)
 
 
 def take_next_panel(connection: Connection, press: str, noticed_unix_s: float) -> dict[str, Any]:
     """Return the header keys a run of a press begins with; what holds for one panel is forgotten.
 
     A panel noticed in the press before they were said is another one: its scans may have waited for the store.
+    Where they cannot be read any more the run begins without them, and an alarm says so.
     """
-    said = next_panel(connection, press)
+    try:
+        said = next_panel(connection, press)
+    except ScansUnreadable as error:
+        log(connection, "alarm", PROCESS, spoken(error), press, None)
+        return {}
     if said is None or unix_of(said.utc) > noticed_unix_s:
         return {}
     lasting = {key: value for key, value in said.header.items() if key != ONCE}

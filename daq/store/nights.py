@@ -15,6 +15,7 @@ from daq.store.convert import known_utc, to_json, unix_of
 from daq.store.reading import newest_first, run_record_of, runs_query
 from daq.store.records import Page, RunRecord, RunStatus, StoredNight
 from daq.store.schema import ARCHIVE, NIGHT, PRESS, RUN, RUN_CHANGE, UNFITTED
+from daq.store.sound_rows import rows_with_damage
 
 
 def put_night(connection: Connection, night: StoredNight) -> int:
@@ -64,7 +65,7 @@ def pressings(
     order = RUN.c.run_number.desc()
     if after is not None:
         query, order = query.where(RUN.c.run_number > after), RUN.c.run_number.asc()
-    return [run_record_of(row) for row in connection.execute(query.order_by(order)).all()]
+    return [run_record_of(connection, row) for row in rows_with_damage(connection, query.order_by(order))]
 
 
 def count_pressings(connection: Connection, press: str, *, below: int | None = None) -> int:

@@ -11,10 +11,18 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, case
 
 from daq.records import Channel, InputError, Moments, Quality, Scan
 from daq.store.convert import channel_qualities, known_utc, nan, utc_of
-from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
+from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, ScansUnreadable, StoredPressEvent
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN
-from daq.store.sound_rows import is_object, of_all, readings_with_gaps, sound, stored_header
-from daq.words import say
+from daq.store.sound_rows import (
+    is_object,
+    of_all,
+    printable,
+    readings_with_gaps,
+    rows_with_damage,
+    sound,
+    stored_header,
+)
+from daq.words import Message, say, spoken
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -35,7 +43,10 @@ def runs(
     since: datetime | None = None,
     until: datetime | None = None,
 ) -> Page[RunRecord]:
-    """Return a page of runs, newest first; `since` and `until` filter by their start."""
+    """Return a page of runs, newest first; `since` and `until` filter by their start.
+
+    A run whose header is damaged stands in the list, and says so.
+    """
     wanted = {RUN.c.panel_material: material, RUN.c.status: status and str(status)}
     query = runs_query().where(*(column == value for column, value in wanted.items() if value is not None))
     if cursor is not None:
@@ -43,7 +54,7 @@ def runs(
     if since is not None or until is not None:
         query = query.where(*_begun_between(since, until))
     rows = _newest(connection, query.limit(limit + 1), press)[: limit + 1]
-    items = tuple(run_record_of(row) for row in rows[:limit])
+    items = tuple(run_record_of(connection, row) for row in rows[:limit])
     return Page(items, str(items[-1].number) if len(rows) > limit else None)
 
 
@@ -54,10 +65,10 @@ def _newest(connection: Connection, query: Select[Any], press: str | None) -> li
     """
     number = RUN.c.run_number
     if press is None:
-        return list(connection.execute(query.order_by(number.desc())).all())
+        return list(rows_with_damage(connection, query.order_by(number.desc())))
     ids = connection.execute(select(PRESS.c.press_id).where(PRESS.c.name == press)).scalars().all()
     own = [query.where(RUN.c.press_id == press_id).order_by(number.desc()) for press_id in ids]
-    rows = [row for one in own for row in connection.execute(one).all()]
+    rows = [row for one in own for row in rows_with_damage(connection, one)]
     return sorted(rows, key=lambda row: row.run_number, reverse=True)
 
 
@@ -100,21 +111,35 @@ def _begun_between(since: datetime | None, until: datetime | None) -> list[Colum
 
 def run_row(connection: Connection, run: str) -> Row[Any]:
     """Return a run's row with its press; raises `InputError` where there is none."""
-    row = connection.execute(runs_query().where(RUN.c.run == run)).first()
-    if row is None:
+    rows = rows_with_damage(connection, runs_query().where(RUN.c.run == run))
+    if not rows:
         raise InputError(say("store-run-missing", run=run))
-    return row
+    return rows[0]
+
+
+def has_run(connection: Connection, run: str) -> bool:
+    """Whether a run is stored, readable or not."""
+    return connection.execute(select(RUN.c.run_number).where(RUN.c.run == run)).first() is not None
 
 
 def run_record(connection: Connection, run: str) -> RunRecord:
-    """Return one run's record; raises `InputError` where there is none."""
-    return run_record_of(run_row(connection, run))
+    """Return one run's record; raises `InputError` where there is none, `ScansUnreadable` where it is damaged."""
+    record = run_record_of(connection, run_row(connection, run))
+    if record.damage is not None:
+        raise ScansUnreadable(record.damage)
+    return record
 
 
 def run_records(connection: Connection, runs: Sequence[str]) -> dict[str, RunRecord]:
-    """Return the records of these runs by name, all in one query."""
-    rows = connection.execute(runs_query().where(RUN.c.run.in_(runs))).all()
-    return {row.run: run_record_of(row) for row in rows}
+    """Return the records of these runs by name, all in one query; a damaged one says so."""
+    rows = rows_with_damage(connection, runs_query().where(RUN.c.run.in_(runs)))
+    return {row.run: run_record_of(connection, row) for row in rows}
+
+
+def damaged_runs(connection: Connection, limit: int = 50) -> list[RunRecord]:
+    """Return those of the newest runs, as many as a page has, whose header cannot be read any more."""
+    rows = rows_with_damage(connection, runs_query().order_by(RUN.c.run_number.desc()).limit(limit))
+    return [record for record in (run_record_of(connection, row) for row in rows) if record.damage is not None]
 
 
 def open_run(connection: Connection, press: str) -> RunRecord | None:
@@ -125,8 +150,8 @@ def open_run(connection: Connection, press: str) -> RunRecord | None:
         .order_by(RUN.c.run_number.desc())
         .limit(1)
     )
-    row = connection.execute(query).first()
-    return None if row is None else run_record_of(row)
+    rows = rows_with_damage(connection, query)
+    return run_record_of(connection, rows[0]) if rows else None
 
 
 def ended_runs_after(connection: Connection, press: str, number: int, limit: int = 1000) -> list[RunRecord]:
@@ -140,14 +165,15 @@ def ended_runs_after(connection: Connection, press: str, number: int, limit: int
         .order_by(RUN.c.first_scan)
         .limit(limit)
     )
-    return [run_record_of(row) for row in connection.execute(query).all()]
+    return [run_record_of(connection, row) for row in rows_with_damage(connection, query)]
 
 
-def run_record_of(row: Row[Any]) -> RunRecord:
+def run_record_of(connection: Connection, row: Row[Any]) -> RunRecord:
     """Return the record of a row of `runs_query`."""
+    header, remark, damage = _said_of(connection, row)
     return RunRecord(
         number=row.run_number,
-        run=row.run,
+        run=printable(row.run),
         press=row.press,
         kind=row.kind,
         status=RunStatus(row.status),
@@ -157,10 +183,19 @@ def run_record_of(row: Row[Any]) -> RunRecord:
         last_scan=row.last_scan,
         zero_monotonic_s=row.zero_monotonic_s,
         moments=Moments(nan(row.inserted_s), nan(row.closed_s), nan(row.opened_s), nan(row.removed_s)),
-        header=stored_header(row),
-        remark=row.remark,
+        header=header,
+        remark=remark,
         software_version=row.software_version,
+        damage=damage,
     )
+
+
+def _said_of(connection: Connection, row: Row[Any]) -> tuple[dict[str, Any], str, Message | None]:
+    """Return header and remark of a run, or empty ones and why they cannot be read."""
+    try:
+        return stored_header(connection, row), row.remark, None
+    except ScansUnreadable as error:
+        return {}, "", spoken(error)
 
 
 def first_layout(connection: Connection, press_id: int) -> int:

@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -20,8 +21,18 @@ from daq.store.convert import faults_json, header_of, header_text, known_utc, nu
 from daq.store.journal import log
 from daq.store.next_panel import take_next_panel
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
-from daq.store.records import NewRun, PressKey, RunChange, RunEnd, RunStatus, StoreUnavailable
+from daq.store.reading import run_row
+from daq.store.records import (
+    NewRun,
+    PressKey,
+    RunChange,
+    RunEnd,
+    RunStatus,
+    ScansUnreadable,
+    StoreUnavailable,
+)
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
+from daq.store.sound_rows import rows_with_damage, stored_header
 from daq.words import say
 
 PROCESS = "record"
@@ -230,9 +241,12 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
 
 def _tell_doubts(connection: Connection, key: PressKey, run: str, header: Mapping[str, Any]) -> None:
     """Journal what is doubtful in the header of a run that begins, and was not in that of the run before."""
-    mine = select(RUN.c.header_toml).where(RUN.c.press_id == key.press_id)
-    before = connection.execute(mine.order_by(RUN.c.run_number.desc()).limit(1)).scalar()
-    for doubt in new_doubts(header, header_of(before) if before else {}):
+    mine = select(RUN.c.run, RUN.c.header_toml, RUN.c.remark).where(RUN.c.press_id == key.press_id)
+    before: Mapping[str, Any] = {}
+    with suppress(ScansUnreadable):  # the run before is damaged: this one begins all the same
+        for row in rows_with_damage(connection, mine.order_by(RUN.c.run_number.desc()).limit(1)):
+            before = stored_header(connection, row)
+    for doubt in new_doubts(header, before):
         log(connection, "warning", PROCESS, say("of-run", run=run, what=doubt), key.name, None)
 
 
@@ -248,8 +262,8 @@ def _free_name(connection: Connection, name: str) -> str:
 
 def _next_free(connection: Connection, prefix: str, number: int) -> int:
     """Return a number above `number` and above all that runs of this prefix have."""
-    taken = connection.execute(select(RUN.c.run).where(RUN.c.run.startswith(prefix, autoescape=True))).scalars()
-    endings = [name.removeprefix(prefix) for name in taken]
+    own = select(RUN.c.run).where(RUN.c.run.startswith(prefix, autoescape=True))
+    endings = [row.run.removeprefix(prefix) for row in rows_with_damage(connection, own)]
     return max([number, *(int(ending) for ending in endings if ending.isdecimal())]) + 1
 
 
@@ -472,11 +486,12 @@ def _unit(column: str) -> str:
 
 
 def annotate_run(connection: Connection, run: str, changes: Mapping[str, Any], who: str) -> None:
-    """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept."""
-    row = connection.execute(select(RUN.c.header_toml, RUN.c.remark).where(RUN.c.run == run)).first()
-    if row is None:
-        raise InputError(say("store-run-missing", run=run))
-    header, remark = header_of(row.header_toml), row.remark
+    """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept.
+
+    Raises `InputError` where there is no such run, `ScansUnreadable` where its header is damaged.
+    """
+    row = run_row(connection, run)
+    header, remark = stored_header(connection, row), row.remark
     if "run" in changes:
         raise InputError(say("store-run-renamed", run=run))
     now = unix_of(datetime.now(UTC))

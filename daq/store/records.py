@@ -102,6 +102,8 @@ class RunRecord:
     header: Mapping[str, Any]
     remark: str
     software_version: str
+    damage: Message | None = None
+    """Why header and remark, empty then, cannot be read any more, and what to do; lists show the run."""
 
 
 @dataclass(frozen=True)

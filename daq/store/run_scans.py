@@ -57,7 +57,7 @@ def load_run(
         table = {name: table[name] for name in columns}
     time_s = np.round(scans.monotonic_s - zero, 6) if zero else scans.monotonic_s
     remarks = {} if QUALITY in table else _remarks(scans.faults, columns)
-    return Run(run, stored_header(row), time_s, table, "store", remarks)
+    return Run(run, stored_header(connection, row), time_s, table, "store", remarks)
 
 
 def remarks_of(

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row
+from sqlalchemy import Connection, Row, Select
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError
 
@@ -84,12 +84,40 @@ def is_object(text: str) -> bool:
         return False
 
 
-def stored_header(row: Row[Any]) -> dict[str, Any]:
-    """Return the header of a run's row; raises `ScansUnreadable` where it cannot be read."""
+def stored_header(connection: Connection, row: Row[Any]) -> dict[str, Any]:
+    """Return the header of a run's row; raises `ScansUnreadable` where it or the remark cannot be read."""
     try:
+        if not is_sound(row.header_toml) or not is_sound(row.remark):
+            raise ValueError("flipped bytes")
         return header_of(row.header_toml)
-    except (TypeError, ValueError, AttributeError) as error:
-        raise ScansUnreadable(of_run(row.run)(what=say("store-header-damaged"))) from error
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        said = say("store-header-damaged", store=store_label(connection.engine.url))
+        raise ScansUnreadable(of_run(printable(row.run))(what=said)) from error
+
+
+def is_sound(text: str) -> bool:
+    """Whether no byte of a text was one that no writer writes (`rows_with_damage` keeps it as a surrogate)."""
+    return text.isascii() or not any("\udc80" <= letter <= "\udcff" for letter in text)
+
+
+def printable(text: str) -> str:
+    """Return a text as it can be shown and sent, with a mark for each byte that no writer writes."""
+    return text.encode(errors="surrogateescape").decode(errors="replace")
+
+
+def rows_with_damage(connection: Connection, query: Select[Any]) -> Sequence[Row[Any]]:
+    """Return the rows of a query, also where a text in one has bytes that are no UTF-8: these are surrogates."""
+    try:
+        return connection.execute(query).all()
+    except DBAPIError as error:
+        raw = connection.connection.dbapi_connection
+        if not _undecodable(error) or not isinstance(raw, sqlite3.Connection):
+            raise
+    usual, raw.text_factory = raw.text_factory, lambda text: text.decode(errors="surrogateescape")
+    try:
+        return connection.execute(query).all()
+    finally:
+        raw.text_factory = usual
 
 
 @contextmanager
@@ -112,8 +140,12 @@ def _torn(error: DBAPIError) -> bool:
     reason = error.orig
     if isinstance(reason, sqlite3.Error):
         code = getattr(reason, "sqlite_errorcode", None)
-        return (code is not None and code & 0xFF == sqlite3.SQLITE_CORRUPT) or "decode to UTF-8" in str(reason)
+        return (code is not None and code & 0xFF == sqlite3.SQLITE_CORRUPT) or _undecodable(error)
     return getattr(reason, "sqlstate", None) in _TORN
+
+
+def _undecodable(error: DBAPIError) -> bool:
+    return "decode to UTF-8" in str(error.orig)
 
 
 def _damaged(connection: Connection, whose: Whose, scan: int) -> ScansUnreadable:

@@ -146,6 +146,8 @@ class Store:
     runs = _reads(reading.runs)
     run_record = _reads(reading.run_record)
     run_records = _reads(reading.run_records)
+    has_run = _reads(reading.has_run)
+    damaged_runs = _reads(reading.damaged_runs)
     run_changes = _reads(recording.run_changes)
     run_cores = _reads(cores.run_cores)
     open_run = _reads(reading.open_run)

@@ -397,6 +397,7 @@ needs-start-store = [store]
 of-press = Presse { $press }: { $what }
 of-run = Pressung { $run }: { $what }
 pages-stalled = die Prüfung von { $store } auf Schäden kommt nicht voran; den Datenträger prüfen
+panel-next-damaged = Presse { $press }: die Angaben zu den nächsten Platten sind im Datenspeicher { $store } beschädigt und nicht lesbar; die Pressung beginnt ohne sie: neu angeben und die Kopfdaten der Pressung berichtigen
 panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: keine frühere Pressung dieser Presse hatte eine solche Platte, die nächste hatte { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; das Band des Kerns umfasst beide; die Dicke prüfen
 press-recorded-already = Presse { $press }: ein anderer Rekorder schreibt sie in { $store }; diesen zuerst beenden
 press-stalled = { $press }: seit { SPAN($seconds) } keine neue Messzeile
@@ -472,6 +473,7 @@ model-rolled-back = zurückgenommen
 model-through-api = über die API
 model-version-missing = Modellversion '{ $version }' ist nicht im Datenspeicher
 model-version-taken = Modellversion '{ $version }' ist schon im Datenspeicher; Versionen ändern sich nie
+recipe-damaged = Rezept { $recipe } ist im Datenspeicher { $store } beschädigt und nicht lesbar; seine Werte unter demselben Namen neu angeben
 recipe-unknown = Rezept '{ $recipe }' gibt es nicht; es gibt: { $known }
 restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }
 run-end-without-run = Pressung { $run } endet bei Messzeile { $scan }, aber der Datenspeicher hat keine solche Pressung; ihre Messzeilen sind erhalten
@@ -487,7 +489,7 @@ store-damaged = Datenspeicher { $store }: die Datei ist beschädigt: { $error };
 store-file-gone = Datenspeicher { $store }: die Datei wurde gelöscht oder verschoben; ein laufendes kerntemp record legt sie wieder an, sonst die neueste Sicherung einspielen
 store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und hängt von einer ab, die diese Version ändert; sie löschen, neu starten und sie neu anlegen
 store-gives-no-reason = ohne Angabe eines Grundes
-store-header-damaged = ihre Kopfdaten sind im Datenspeicher beschädigt und nicht lesbar; die neueste Sicherung mit kerntemp backup --restore herstellen
+store-header-damaged = ihre Kopfdaten sind im Datenspeicher { $store } beschädigt und nicht lesbar; die anderen Pressungen sind es; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
 store-header-wrong = { $file }: Kopfzeile { $key } = { $value }: muss { $wanted } sein; berichtigen oder weglassen
 store-is-closed = Datenbank { $store }: ist geschlossen; mit daq.open_store wieder öffnen
 store-is-folder = Datenspeicher { $store }: ist ein Ordner; den Pfad einer Datei darin angeben
@@ -1669,6 +1671,10 @@ health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hour
 health-process-never-seen = { $process }: noch nie gesehen; kerntemp { $command } starten
 health-process-silent = { $process }: seit { SPAN($seconds) } stumm; kerntemp { $command } starten
 health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; kerntemp { $command } starten
+health-runs-damaged = { $runs ->
+    [one] von den neuesten Pressungen ist eine
+   *[other] von den neuesten Pressungen sind { $runs }
+} im Datenspeicher { $store } beschädigt und nicht lesbar: { $names }; mit kerntemp backup --restore eine Sicherung daneben herstellen und sie dort holen
 health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Rechner ist überlastet
 what-if-busy = eine andere Was-wäre-wenn-Rechnung läuft; in einigen Sekunden wiederholen
 what-if-no-model = { $run }: es gibt weder eine Anpassung dieser Pressung noch ein gültiges Modell
@@ -1736,6 +1742,7 @@ terminal-interrupted = abgebrochen
 terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: diese Sprache ist nicht vorhanden; es gibt { $languages }
 terminal-list-alone = --press, --material, --from und --to wählen, was aufgelistet wird; zu exportierende Pressungen werden genannt
 terminal-list-created = angelegt
+terminal-list-damaged = beschädigt
 terminal-list-material = Material
 terminal-list-name = Name
 terminal-list-press = Presse
@@ -2569,6 +2576,7 @@ page-quality-stale = veraltet
 page-quality-under = unter Bereich
 page-run = Pressung
 page-run-closed = vollständig
+page-run-damaged = beschädigt
 page-run-interrupted = unterbrochen
 page-run-open = läuft
 page-save = Speichern

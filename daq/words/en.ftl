@@ -397,6 +397,7 @@ needs-start-store = [store]
 of-press = press { $press }: { $what }
 of-run = run { $run }: { $what }
 pages-stalled = the check of { $store } for damage has stalled; check the disk
+panel-next-damaged = press { $press }: the data of the next panels are damaged in store { $store } and cannot be read; the run begins without them: enter them again and correct the run's header
 panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: no earlier run of this press had such a panel, the nearest had { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; the band of the live core covers both; check the thickness
 press-recorded-already = press { $press }: another recorder writes it into { $store }; stop that one first
 press-stalled = { $press }: no fresh scan for { SPAN($seconds) }
@@ -472,6 +473,7 @@ model-rolled-back = rolled back
 model-through-api = through the API
 model-version-missing = model version '{ $version }' is not in the store
 model-version-taken = model version '{ $version }' is in the store already; versions never change
+recipe-damaged = recipe { $recipe } is damaged in store { $store } and cannot be read; give its values again under the same name
 recipe-unknown = there is no recipe '{ $recipe }'; there are: { $known }
 restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }
 run-end-without-run = run { $run } ends at scan { $scan }, but the store has no such run; its scans are kept
@@ -487,7 +489,7 @@ store-damaged = store { $store }: the file is damaged: { $error }; take a backup
 store-file-gone = store { $store }: the file was deleted or moved; a running kerntemp record puts it back, else restore the newest backup
 store-foreign-view = store { $store }: view { $view } is not Kerntemp's and depends on one that this version changes; drop it, start again, and create it again
 store-gives-no-reason = it gives no reason
-store-header-damaged = its header is damaged in the store and cannot be read; restore the newest backup with kerntemp backup --restore
+store-header-damaged = its header is damaged in store { $store } and cannot be read; the other runs can; restore a backup beside the store with kerntemp backup --restore and take the run from there
 store-header-wrong = { $file }: header key { $key } = { $value }: must be { $wanted }; correct it or remove the key
 store-is-closed = store { $store }: is closed; open it again by daq.open_store
 store-is-folder = store { $store }: is a folder; give the path of a file in it
@@ -1659,6 +1661,10 @@ health-nightly-job-overdue = refit: the nightly job has not finished for { NUMBE
 health-process-never-seen = { $process }: never seen; start kerntemp { $command }
 health-process-silent = { $process }: silent for { SPAN($seconds) }; start kerntemp { $command }
 health-process-silent-for-hours = { $process }: silent for { NUMBER($hours, maximumFractionDigits: 0) } h; start kerntemp { $command }
+health-runs-damaged = { $runs ->
+    [one] of the newest runs one is damaged
+   *[other] of the newest runs { $runs } are damaged
+} in store { $store } and cannot be read: { $names }; restore a backup beside the store with kerntemp backup --restore and take them from there
 health-scans-behind = { $press }: { $scans } scans behind, this machine is too busy
 what-if-busy = another what-if is being simulated; try again in some seconds
 what-if-no-model = { $run }: there is neither a fit of this run nor a model in force
@@ -1726,6 +1732,7 @@ terminal-interrupted = interrupted
 terminal-language-unknown = KERNTEMP_LANGUAGE = { $language } is not available; choose one of { $languages }
 terminal-list-alone = --press, --material, --from and --to choose what is listed; runs to be exported are named
 terminal-list-created = created
+terminal-list-damaged = damaged
 terminal-list-material = material
 terminal-list-name = name
 terminal-list-press = press
@@ -2556,6 +2563,7 @@ page-quality-stale = stale
 page-quality-under = under range
 page-run = Run
 page-run-closed = complete
+page-run-damaged = damaged
 page-run-interrupted = interrupted
 page-run-open = running
 page-save = Save

@@ -27,7 +27,7 @@ from daq.process.notify import Notifier
 from daq.process.stopping import stop_on_signals
 from daq.records import InputError, PressState, Scan
 from daq.store import RunRecord, ScanBatch, Store, StoredEstimate, StoreUnavailable
-from daq.store.records import in_status
+from daq.store.records import ScansUnreadable, in_status
 from daq.store.waiting import open_when_ready
 from daq.supervision import BEAT_S, Pending
 from daq.words import Message, say, spoken
@@ -400,6 +400,8 @@ class Follower:
         time_s = round(scan.monotonic_s - live.record.zero_monotonic_s, 6)
         begun = time.perf_counter()
         try:
+            if live.record.damage is not None:  # nobody knows which panel it is
+                raise ScansUnreadable(live.record.damage)
             estimate = live.sensor.update(time_s, values)
         except InputError as error:
             self.refused = spoken(error)
@@ -429,7 +431,7 @@ class Follower:
 
     def _finish(self, live: _Live) -> None:
         """A run is over: fit all of it."""
-        self.fits.submit_whole(self.store.run_record(live.record.run), self.model.file)
+        self.fits.submit_ended(live.record.run, self.model.file)
 
 
 def _resin_of(settings: PressSettings) -> Resin | None:

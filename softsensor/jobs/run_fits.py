@@ -70,6 +70,11 @@ class RunFits:
             if seen and not asked and "fingerprint" not in fits.get(record.run, {}):
                 self.submit_whole(record, model)
 
+    def submit_ended(self, run: str, model: ModelFile | None) -> None:
+        """Fit a run that has just ended, if the press has closed in it."""
+        with self._giving_up(run):
+            self.submit_whole(self.store.run_record(run), model)
+
     def submit_whole(self, record: RunRecord, model: ModelFile | None) -> None:
         """Fit a run that is over, if the press has closed in it."""
         if record.status is not RunStatus.OPEN and record.moments.closed_s == record.moments.closed_s:

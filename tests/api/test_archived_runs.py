@@ -7,6 +7,7 @@ from sqlalchemy import select, update
 
 import daq
 from api.cli import main
+from daq.store import schema
 from daq.store.schema import SCAN
 from tests.api.conftest import STARTED
 
@@ -32,6 +33,58 @@ def asked(client):
 def exported(store, folder):
     assert main(["export", RUN, "--out", str(folder / "run.csv"), "--store", str(store.database.path)]) == 0
     return (folder / "run.csv").read_bytes()
+
+
+def test_a_damaged_header_costs_its_own_run_alone_in_every_list_and_health_names_it(
+    store, client, tmp_path, capsys
+):
+    url = str(store.database.path)
+    with store.database.writing() as connection:
+        row = schema.RUN.c.run == RUN
+        kept = connection.execute(select(schema.RUN.c.header_toml).where(row)).scalar_one()
+        connection.execute(update(schema.RUN).where(row).values(header_toml=kept.replace("=", "= =", 1)))
+    try:
+        for path in (
+            "runs",
+            "search",
+            "search?sort=-rmse_K",
+            "search?q=lab",
+            "coefficients",
+            "press",
+            "nights",
+        ):
+            answer = client.get(f"/api/v1/{path}")
+            if path in ("runs", "search"):
+                told = {item["run"]: item for item in answer.json()["items"]}
+                assert set(told) == {record.run for record in store.runs().items}
+                assert [run for run, item in told.items() if item["damage"]] == [RUN]
+                assert told[RUN]["damage_said"]["code"] == "of-run"
+            assert (path, answer.status_code) == (path, 200)
+        health = client.get("/api/v1/health").json()
+        (said,) = [one for one in health["alarms"] if "damaged in store" in one or "is damaged" in one]
+        assert RUN in said
+        assert url in said
+        for path in ("", "/samples", "/estimates", "/fit", "/verdict", "/figure.svg"):
+            answer = client.get(f"/api/v1/runs/{RUN}{path}")
+            assert (path, answer.status_code) == (path, 503)
+            assert "kerntemp backup --restore" in answer.json()["detail"]
+        assert client.get("/api/v1/runs/nobody").status_code == 404
+        assert client.get("/api/v1/press").status_code == 200
+        assert main(["export", "--store", url]) == 0
+        out, err = capsys.readouterr()
+        assert [line.split("\t")[2] for line in out.splitlines() if line.startswith(RUN)] == ["damaged"]
+        assert sum(line.startswith("lab-") for line in out.splitlines()) >= 3
+        assert f"kerntemp: run {RUN}: its header is damaged" in err
+        assert main(["export", RUN, "--out", str(tmp_path / "x.csv"), "--store", url]) == 2
+        assert "kerntemp backup --restore" in capsys.readouterr().err
+        with daq.open_store(url) as tables:
+            runs = tables.runs()
+            assert set(runs.index) >= {RUN, "lab-2026-03-04-02"}
+            assert runs["damage"].dropna().index.tolist() == [RUN]
+            assert len(tables.samples("lab-2026-03-04-02")) > 100
+    finally:
+        with store.database.writing() as connection:
+            connection.execute(update(schema.RUN).where(row).values(header_toml=kept))
 
 
 def test_a_run_with_a_damaged_scan_is_told_by_every_path_and_command_that_needs_it_and_the_others_answer(

@@ -116,7 +116,7 @@ def test_a_header_that_cannot_be_read_is_told_of_its_run(store_url):
     with filled(store_url, COUNT) as store:
         with store.database.writing() as connection:
             connection.execute(update(RUN).where(RUN.c.run == "many").values(header_toml="x = = 1"))
-        with pytest.raises(ScansUnreadable, match="run many: its header is damaged"):
+        with pytest.raises(ScansUnreadable, match="run many: its header is damaged in store"):
             store.load_run("many")
         assert len(store.load_run("a-few").time_s) == 40
 
@@ -128,3 +128,79 @@ def test_a_column_that_does_not_exist_is_no_damage(store_url):
         assert not isinstance(told.value, ScansUnreadable)
         with store.database.reading() as connection:
             assert connection.execute(text("SELECT count(*) FROM scan")).scalar_one() == 340
+
+
+HEADERS = {
+    "broken": "x = = 1",
+    "no text at all": "\x01\x02",
+    "nested too deeply": "x = " + "[" * 5000,
+}
+
+
+def spoil_header(store, run, damage):
+    """Damage a run's header as the disk does; bytes that are no UTF-8 only SQLite gives out again."""
+    with store.database.writing() as connection:
+        if damage != "flipped bytes":
+            connection.execute(update(RUN).where(RUN.c.run == run).values(header_toml=HEADERS[damage]))
+            return
+        if store.database.dialect != "sqlite":
+            pytest.skip("a server refuses bytes that are no UTF-8")
+        flipped = "UPDATE run SET header_toml = CAST(x'78203d2022ff22' AS TEXT) WHERE run = :run"
+        connection.execute(text(flipped), {"run": run})
+
+
+@pytest.mark.parametrize("damage", [*HEADERS, "flipped bytes"])
+def test_lists_hold_the_sound_runs_and_name_the_damaged_one_which_alone_is_refused(store_url, damage):
+    with filled(store_url, {**COUNT, "last": 20}) as store:
+        spoil_header(store, "many", damage)
+        found = {record.run: record for record in store.runs().items}
+        assert list(found) == ["last", "many", "a-few"]
+        assert [run for run, record in found.items() if record.damage] == ["many"]
+        said = str(found["many"].damage)
+        assert said.startswith("run many: its header is damaged in store ")
+        assert store.label.rpartition("/")[2] in said
+        assert "kerntemp backup --restore" in said
+        assert found["many"].header == {}
+        assert (found["many"].first_scan, found["many"].last_scan) == (40, 339)
+        assert [record.run for record in store.damaged_runs()] == ["many"]
+        assert [r.run for r in store.ended_runs_after("lab", -1)] == ["a-few", "many", "last"]
+        assert store.run_records(["many", "last"])["last"].damage is None
+        for read in (store.load_run, store.run_for_file, store.run_record):
+            with pytest.raises(ScansUnreadable, match="run many: its header is damaged in store"):
+                read("many")
+        with pytest.raises(ScansUnreadable, match="run many: its header is damaged in store"):
+            store.annotate_run("many", {"panel.density_kg_m3": 700.0}, "eva")
+        assert len(store.load_run("last").time_s) == 20
+        assert store.has_run("many")
+
+
+@pytest.mark.parametrize("damage", [*HEADERS, "flipped bytes"])
+def test_the_pressing_after_a_damaged_run_begins_and_ends_as_any_other(store_url, damage):
+    with filled(store_url, {"lab-01": 20}) as store:
+        spoil_header(store, "lab-01", damage)
+        key = store.register_press("lab", CHANNELS)
+        scans = [scan(n) for n in range(20, 30)]
+        store.append_scans(key, scans, begin=NewRun("lab-01", 20, scans[0].utc, scans[0].monotonic_s, {"x": 1.0}))
+        assert store.open_run("lab").run == "lab-02"
+        store.append_scans(key, (), end=RunEnd("lab-01", 29, scans[-1].utc, first_scan=20))
+        assert len(store.load_run("lab-02").time_s) == 10
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_run_begins_without_what_is_damaged_of_the_next_panel_and_an_alarm_says_so(store_url, flipped):
+    with filled(store_url, {"one": 20}) as store:
+        store.put_next_panel("lab", {"panel.thickness_mm": 16.0}, "standard", "eva")
+        with store.database.writing() as connection:
+            bad = "CAST(x'ff' AS TEXT)" if flipped and store.database.dialect == "sqlite" else "'x = = 1'"
+            connection.execute(text(f"UPDATE next_panel SET header_toml = {bad}"))
+            connection.execute(text(f"UPDATE recipe SET header_toml = {bad}"))
+        key = store.register_press("lab", CHANNELS)
+        store.append_scans(key, [scan(20)], begin=NewRun("two", 20, scan(20).utc, 120.0, {"x": 1.0}))
+        assert store.open_run("lab").header == {"x": 1.0, "run": "two"}
+        (alarm,) = store.journal(level="alarm").items
+        assert "press lab: the data of the next panels are damaged in store" in str(alarm.message)
+        for read in (lambda: store.next_panel("lab"), store.recipes):
+            with pytest.raises(ScansUnreadable, match="damaged in store"):
+                read()
+        store.put_next_panel("lab", {"panel.thickness_mm": 18.0}, "standard", "eva")
+        assert store.next_panel("lab").header == store.recipes()["standard"] == {"panel.thickness_mm": 18.0}

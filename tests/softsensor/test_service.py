@@ -892,6 +892,28 @@ def test_a_run_that_cannot_be_read_has_no_fit_which_is_told_once_and_the_sensor_
     assert len(store.journal(level="alarm").items) == len(told)
 
 
+def test_the_sensor_says_nothing_of_a_panel_whose_header_is_damaged_and_goes_on_with_the_next(store, pressing):
+    guarded = guarded_lab(store, Asked())
+    recorder = Recorder(store, pressing[0])
+    follow_guarded(guarded, recorder, POISONED)
+    run = store.open_run("lab").run
+    with store.database.writing() as connection:
+        connection.exec_driver_sql(f"UPDATE run SET header_toml = 'x = = 1' WHERE run = '{run}'")
+    follow_guarded(guarded, recorder, POISONED + 40, now=1e6)
+    assert guarded.problem.code == "of-run"
+    assert f"run {run}: its header is damaged in store" in str(guarded.problem)
+    newest = store.estimates_after("lab", store.newest_estimate_number("lab") - 1)[-1]
+    assert (newest.valid, newest.reason) == (False, InvalidReason.RUN_REFUSED.value)
+    follow_guarded(guarded, recorder, now=2e6)
+    assert store.open_run("lab") is None
+    assert guarded.fault is None
+    assert {entry.message.code for entry in store.journal(level="alarm").items} == {"run-not-fitted"}
+    follow_guarded(guarded, Recorder(store, pressing[0]), POISONED, now=3e6)
+    assert guarded.problem is None
+    newest = store.estimates_after("lab", store.newest_estimate_number("lab") - 1)[-1]
+    assert (newest.state, newest.reason) == (PressState.CLOSED, "")
+
+
 def poison(store, number):
     """Damage what is stored of a scan, so that nobody can read it."""
     with store.database.writing() as connection:

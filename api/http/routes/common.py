@@ -15,7 +15,6 @@ from pydantic import AfterValidator, Field
 
 from api.http.gate import token_of
 from api.http.problems import ProblemError
-from daq.records import InputError
 from daq.store.records import RunRecord
 from daq.store.store import Store
 from daq.words import say
@@ -126,11 +125,10 @@ BeganDep = Annotated[Began, Depends()]
 
 
 def existing_run(store: Store, run: str) -> RunRecord:
-    """Return a run's record or refuse with 404."""
-    try:
-        return store.run_record(run)
-    except InputError as error:
-        raise ProblemError(404, say("api-run-unknown", run=run)) from error
+    """Return a run's record or refuse: with 404 where there is none, with 503 where it is damaged."""
+    if not store.has_run(run):
+        raise ProblemError(404, say("api-run-unknown", run=run))
+    return store.run_record(run)
 
 
 def existing_press(store: Store, press: str) -> str:

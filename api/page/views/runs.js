@@ -103,7 +103,7 @@ async function list(place, context) {
       ...columns.map(([name, , digits, unit]) => (name === "rmse_K" && run.described === false
         ? el("div", {}, cell(run.numbers[name], digits, unit), el("p", {}, el("span", { class: "pill bad wraps" }, text("page-not-described")))) : cell(run.numbers[name], digits, unit))),
       run.verdict ? el("span", { class: `pill ${run.verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${run.verdict}`)) : "–",
-      statusPill(run.status),
+      run.damage ? el("span", { class: "pill bad", title: said(run.damage_said, run.damage) }, text("page-run-damaged")) : statusPill(run.status),
     ]), { cards: true, sort: text("page-sort-by"), pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
   }
 
