@@ -3,7 +3,7 @@
 Commands import what they need when they run, so that `kerntemp --help` answers at once.
 Exit status: 0 done, 1 the work failed, 2 the input or the call is wrong; then one line on
 standard error says what is wrong and what to do, and nothing has been written.
-KERNTEMP_LANGUAGE chooses the language of what is said; it is read here, once.
+KERNTEMP_LANGUAGE chooses the language of messages; it is read here, once.
 """
 
 from __future__ import annotations

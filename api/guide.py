@@ -107,7 +107,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _links(entries: Sequence[tuple[str, str]]) -> str:
-    return "<ul>" + "".join(f'<li><a href="{at}">{html.escape(said)}</a></li>' for at, said in entries) + "</ul>"
+    return "<ul>" + "".join(f'<li><a href="{at}">{html.escape(text)}</a></li>' for at, text in entries) + "</ul>"
 
 
 def _page(title: str, body: str, depth: str) -> str:

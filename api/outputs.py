@@ -26,7 +26,7 @@ _LANGUAGE = ContextVar("language of the terminal", default=ENGLISH)
 _PIPED = ContextVar("standard output belongs to a file asked for as -", default=False)
 _HEARD = ContextVar("when the terminal last showed a sign of life [s]", default=-float("inf"))
 STANDARD_OUTPUT = Path("-")
-"""Stands for standard output where a file to write is asked for; what is said goes to standard error then."""
+"""Stands for standard output where a file to write is asked for; messages go to standard error then."""
 PATIENCE_S = 1.0
 """A terminal that was silent for longer than this shows progress."""
 NAMED_FILES = 4
@@ -45,33 +45,33 @@ def spoken_language() -> str:
     return _LANGUAGE.get()
 
 
-def in_words(*said: Message | str) -> str:
+def in_words(*messages: Message | str) -> str:
     """Return messages in the terminal's language, one after the other; a plain text as it is."""
-    return " ".join(words(one, _LANGUAGE.get()) for one in said)
+    return " ".join(words(one, _LANGUAGE.get()) for one in messages)
 
 
-def tell(said: Message | str) -> None:
+def write_line(message: Message | str) -> None:
     """Write a line to standard output, at once; to standard error where a file goes to standard output."""
     stream = sys.stderr if _PIPED.get() else sys.stdout
-    stream.write(in_words(said) + "\n")
+    stream.write(in_words(message) + "\n")
     stream.flush()
 
 
-def tell_table(heads: Sequence[Message], rows: Iterable[Sequence[str]]) -> None:
+def write_table(heads: Sequence[Message], rows: Iterable[Sequence[str]]) -> None:
     """Write a list under its heads: in columns on a terminal, else parted by tabs for other programs."""
     lines = [[in_words(head) for head in heads], *(list(row) for row in rows)]
     if not sys.stdout.isatty():
         for line in lines:
-            tell("\t".join(line))
+            write_line("\t".join(line))
         return
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
-        tell("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+        write_line("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
 
 
-def warn(said: Message | str) -> None:
+def warn(message: Message | str) -> None:
     """Write a line to standard error, with the program's name."""
-    sys.stderr.write(f"kerntemp: {in_words(said)}\n")
+    sys.stderr.write(f"kerntemp: {in_words(message)}\n")
 
 
 class WorkFailed(Exception):
@@ -140,27 +140,27 @@ def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> 
             else:
                 draft.replace(path)
     except OSError as error:
-        said = say("terminal-output-unwritable", path=str(error.filename), why=reason_of(error))
-        raise WorkFailed(said) from error
+        problem = say("terminal-output-unwritable", path=str(error.filename), why=reason_of(error))
+        raise WorkFailed(problem) from error
     finally:
         for draft in finished:
             draft.unlink(missing_ok=True)
     sys.stdout.write(piped)
     sys.stdout.flush()
-    _tell_written(path for path in contents if path != STANDARD_OUTPUT)
+    _name_written(path for path in contents if path != STANDARD_OUTPUT)
 
 
-def _tell_written(paths: Iterable[Path]) -> None:
+def _name_written(paths: Iterable[Path]) -> None:
     """Name each file, where a folder has many only that."""
     folders: dict[Path, list[Path]] = {}
     for path in paths:
         folders.setdefault(path.parent, []).append(path)
     for folder, files in folders.items():
         if len(files) > NAMED_FILES:
-            tell(say("terminal-written-several", files=len(files), folder=str(folder)))
+            write_line(say("terminal-written-several", files=len(files), folder=str(folder)))
             continue
         for path in files:
-            tell(say("terminal-written", path=str(path)))
+            write_line(say("terminal-written", path=str(path)))
 
 
 def as_json(value: Any) -> str:
@@ -170,7 +170,7 @@ def as_json(value: Any) -> str:
 
 @contextmanager
 def working(what: Message, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Show `what` with elapsed time and a bar once nothing was said for 1 s, on a terminal only.
+    """Show `what` with elapsed time and a bar once nothing was written for 1 s, on a terminal only.
 
     Yields a function that takes how much is done.
     """

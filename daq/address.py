@@ -81,7 +81,7 @@ def hidden(address: str) -> str:
     if scheme.startswith("sqlite"):
         return f"{scheme}://{_HIDDEN}" if "@" in rest and not rest.startswith("/") else address
     before, query, after = rest.partition("?")
-    if "@" in after:  # in a password before it or in one behind it: nobody can tell
+    if "@" in after:  # in a password before it or in one behind it: nobody can know
         return f"{scheme}://{_HIDDEN}"
     who, at, place = before.rpartition("@")
     user, colon, _ = who.partition(":")
@@ -97,16 +97,16 @@ def masked(text: str) -> str:
     return _PASSWORD.sub(r"\1***", _USER.sub(r"\1:***@", text))
 
 
-def without_secrets(said: str) -> str:
+def without_secrets(text: str) -> str:
     """Return what somebody typed, or a library says, without what looks like a password in it.
 
     >>> without_secrets("postgresql://eva:secret@db: not found"), without_secrets("eva:secret@db/x")
     ('postgresql://eva:***@db: not found', 'eva:***@db/x')
     """
-    if "@" not in said and "=" not in said:
-        return said
-    bare = _BARE.fullmatch(said)
-    return masked(said) if bare is None else f"{bare[1]}:{_HIDDEN}@{bare[2]}"
+    if "@" not in text and "=" not in text:
+        return text
+    bare = _BARE.fullmatch(text)
+    return masked(text) if bare is None else f"{bare[1]}:{_HIDDEN}@{bare[2]}"
 
 
 def secrets_of(address: Address) -> set[str]:

@@ -47,7 +47,7 @@ class Listed:
 
 
 def all_kept(functions: Sequence[Listed]) -> bool:
-    """Return whether nothing of a list is left to be compiled; so it is where Numba is told not to compile."""
+    """Return whether nothing of a list is left to be compiled; so it is where Numba is set not to compile."""
     return numba.config.DISABLE_JIT or all(
         place_of(of.module, of.name, of.signature).is_file() for of in functions
     )
@@ -129,13 +129,13 @@ def _left_behind(claim: Path) -> bool:
 
 def read_list(file: Path) -> list[Listed]:
     """Read a list that `write_list` wrote."""
-    told = json.loads(file.read_text(encoding="utf-8"))
+    content = json.loads(file.read_text(encoding="utf-8"))
     found: list[Any] = []
-    for kind, *detail in told["types"]:
+    for kind, *detail in content["types"]:
         found.append(_type(kind, detail, found))
     return [
         Listed(f["module"], f["name"], tuple(found[i] for i in f["types"]), tuple(f["calls"]), f["seconds"])
-        for f in told["functions"]
+        for f in content["functions"]
     ]
 
 
@@ -152,9 +152,9 @@ def write_list(file: Path, functions: Sequence[Listed]) -> None:
         }
         for of in functions
     ]
-    told = ",\n".join(table)
+    types = ",\n".join(table)
     content = ",\n".join(json.dumps(line) for line in lines)
-    file.write_text(f'{{"types": [\n{told}\n], "functions": [\n{content}\n]}}\n', encoding="utf-8")
+    file.write_text(f'{{"types": [\n{types}\n], "functions": [\n{content}\n]}}\n', encoding="utf-8")
 
 
 def _number(kind: Any, table: dict[str, int]) -> int:

@@ -82,7 +82,7 @@ class StoreTables:
         return frame_of(self._opened().run_for_file(run), utc=utc)
 
     def estimates(self, run: str) -> pd.DataFrame:
-        """Return what the live sensor said of a run, indexed by ``time_s``. Raises `InputError`."""
+        """Return the live sensor's estimates of a run, indexed by ``time_s``. Raises `InputError`."""
         self._check_known(run)
         rows = [
             {"time_s": time_s, "state": str(e.state), "core_C": e.core_celsius, "core_sd_K": e.core_sd_kelvin}

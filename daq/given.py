@@ -19,7 +19,7 @@ _OURS = ("daq", "softsensor")
 
 
 def refused(given: object, asked: str) -> InputError:
-    """Return the error for a thing of another kind than asked for; `asked` is the code of what is said.
+    """Return the error for a thing of another kind than asked for; `asked` is the message's code.
 
     >>> str(refused(5, "given-no-press"))
     'int: a press is given as the path of a press file, or as what read_press returned'

@@ -24,7 +24,7 @@ ODD = 2.0
 _ENGLISH_WOODS = ("ash", "beech", "birch", "fir", "larch", "maple", "oak", "pine", "poplar", "spruce")
 _GERMAN_WOODS = ("esche", "buche", "birke", "tanne", "lärche", "ahorn", "eiche", "kiefer", "pappel", "fichte")
 SOLID_WOODS = frozenset((*_ENGLISH_WOODS, *_GERMAN_WOODS))
-"""Words by which a header's ``panel.material`` tells a solid wood (``Scots pine``, ``Kiefer, feucht``)."""
+"""Words by which a header's ``panel.material`` names a solid wood (``Scots pine``, ``Kiefer, feucht``)."""
 JUST_WOOD = ({"wood"}, {"solid", "wood"}, {"holz"}, {"massivholz"})
 """The same where no kind is named."""
 
@@ -88,8 +88,8 @@ def is_solid_wood(name: str) -> bool:
     >>> is_solid_wood("plywood"), is_solid_wood("engineered wood")
     (False, False)
     """
-    said = set(re.findall(r"[^\W\d_]+", name.lower()))
-    return bool(said & SOLID_WOODS) or said in JUST_WOOD
+    words = set(re.findall(r"[^\W\d_]+", name.lower()))
+    return bool(words & SOLID_WOODS) or words in JUST_WOOD
 
 
 def find_material(name: str) -> Material | None:

@@ -34,8 +34,8 @@ def on_screen(record: Any) -> str:
     sd = 0.25
     """
     names = [one.name for one in fields(record)] if is_dataclass(record) else record._fields
-    told = [f"{name} = {_field(getattr(record, name))}" for name in names]
-    return "\n".join([type(record).__name__, *lines_of(told)])
+    lines = [f"{name} = {_field(getattr(record, name))}" for name in names]
+    return "\n".join([type(record).__name__, *lines_of(lines)])
 
 
 def _field(value: Any) -> str:

@@ -82,7 +82,7 @@ def with_frozen_fields(record: Any) -> Any:
 
 
 ROOM_C = 23.0
-"""Of a room where nothing is said of it: the middle of halls of 16 to 30 °C. [°C]"""
+"""Of a room where nothing is stated of it: the middle of halls of 16 to 30 °C. [°C]"""
 COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
 GAS_CONSTANT = 6.02214076e23 * 1.380649e-23
@@ -101,7 +101,7 @@ class Nonphysical(InputError):
 
 
 class OutsideLayer(InputError):
-    """A sensor that lies outside the layer it is said to be in."""
+    """A sensor that lies outside the layer it is stated to be in."""
 
 
 class BrokenTime(InputError):
@@ -148,24 +148,24 @@ class PressState(StrEnum):
 
 
 class EventSource(StrEnum):
-    """What told of a moment of the press."""
+    """What showed a moment of the press."""
 
     TEMPERATURES = "temperatures"
     """Found in the readings of the sensors."""
     LIMIT_SWITCH = "limit switch"
-    """A wire that tells open from closed."""
+    """A wire that distinguishes open and closed."""
     PRESSURE_CHANNEL = "pressure channel"
     """A logged pressure."""
     ONE_STATE = "one state"
     """A press that never opens: there was nothing to find."""
     UNKNOWN = "unknown"
-    """No column tells."""
+    """No column shows it."""
     TRUTH = "truth"
     """The virtual press knows its own moments."""
 
     @property
     def is_wire(self) -> bool:
-        """Whether a wire told, which knows the moment to a scan."""
+        """Whether it is a wire, which knows the moment to a scan."""
         return self in (EventSource.LIMIT_SWITCH, EventSource.PRESSURE_CHANNEL)
 
     @property
@@ -226,7 +226,7 @@ class PressEvent:
 
     kind: PressEventKind
     monotonic_s: float
-    """When it happened, as well as the scans tell. [s]"""
+    """When it happened, as well as the scans show. [s]"""
     noticed_s: float
     """The scan at which the detector could say so. [s]"""
     source: EventSource = EventSource.TEMPERATURES
@@ -339,8 +339,8 @@ class Run:
     def _number(self, key: str, default: float) -> float:
         value = self.header.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            said = say("header-no-number", key=key, value=repr(value))
-            raise InputError(say("at-place", place=self.source or self.name, what=said))
+            problem = say("header-no-number", key=key, value=repr(value))
+            raise InputError(say("at-place", place=self.source or self.name, what=problem))
         return float(value)
 
 
@@ -363,4 +363,4 @@ class Moments:
     ramp_s: float = 0.5
     """How long closing takes. [s]"""
     source: EventSource = EventSource.TEMPERATURES
-    """What told of closing and opening."""
+    """What showed closing and opening."""

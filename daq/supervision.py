@@ -1,7 +1,7 @@
-"""Threads that are watched: what ends one or holds it up is told.
+"""Threads that are watched: what ends one or holds it up is reported.
 
 An unexpected exception begins the work of a `SupervisedThread` anew. Work that stands still cannot be begun anew
-from outside: whoever gives the process's signs of life asks its `Steps`, and tells or withholds.
+from outside: whoever gives the process's signs of life asks its `Steps`, and gives or withholds them.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Steps:
 
     @contextmanager
     def step(self, longest_s: float | None = None) -> Iterator[None]:
-        """Do one step inside the block, for `STALLED_S` at most unless something else is said."""
+        """Do one step inside the block, for `STALLED_S` at most unless stated otherwise."""
         now_s = time.monotonic()
         self._under_way = now_s, now_s + (STALLED_S if longest_s is None else longest_s)
         try:
@@ -97,7 +97,7 @@ class Pending(Generic[T]):
 
 
 class SupervisedThread:
-    """Does its work until it returns; an exception begins the work anew, and is told once until all is well again.
+    """Does its work until it returns; an exception begins it anew, and is reported once until all is well again.
 
     All is well when the work says so (`worked`), or a step of `steps` has ended well since.
     """
@@ -136,7 +136,7 @@ class SupervisedThread:
         self._journal_faults()
 
     def failed(self, error: BaseException) -> None:
-        """Note an exception and tell it, once for each that differs from the one before."""
+        """Note an exception and report it, once for each that differs from the one before."""
         fault = say("thread-failed", thread=self._thread.name, why=unexpected(error))
         known, self.fault = self.fault, fault
         if self._steps is not None and self._steps.done > self._done:
@@ -147,7 +147,7 @@ class SupervisedThread:
         self._journal_faults()
 
     def _journal_faults(self) -> None:
-        """Journal the faults not journalled yet; what the journal does not take is told with the next."""
+        """Journal the faults not journalled yet; what the journal does not take is reported with the next."""
         try:
             self._pending.hand_over()
         except Exception:

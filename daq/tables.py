@@ -129,7 +129,7 @@ SYSTEM_FAULTS = {
 
 
 def reason_of(error: Exception) -> Message | str:
-    """Return why something was not read or done: no UTF-8, no JSON, or what the system said.
+    """Return why something was not read or done: no UTF-8, no JSON, or what the system answered.
 
     What is not among `SYSTEM_FAULTS` comes in its own words, so in English.
     """
@@ -163,7 +163,7 @@ def nearest(key: str, known: Iterable[str]) -> str | None:
 
 
 def unknown_key(key: str, known: Iterable[str]) -> Message:
-    """Return what is said of a key that is refused, with the key that was meant where one is near."""
+    """Return the message for a key that is refused, with the key that was meant where one is near."""
     meant = nearest(key, known)
     return say("key-unknown") if meant is None else say("key-unknown-meant", meant=meant)
 
@@ -237,7 +237,7 @@ _KINDS = {
     "dict_type": "key-no-table",
     "tuple_type": "key-no-list",
 }
-"""What pydantic finds wrong, by its own name, to the code of ours; anything else is said in its English."""
+"""What pydantic finds wrong, by its own name, to the code of ours; anything else keeps its English."""
 
 
 def fields_at(model: type[BaseModel], path: Iterable[str]) -> tuple[str, ...]:

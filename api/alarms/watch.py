@@ -63,25 +63,25 @@ def _send_next(store: Store, ways: Mapping[str, Way], clock: Callable[[], dateti
     except NotDelivered as error:
         store.put_off(delivery, str(error), clock())
         if delivery.tries == 1:
-            said = say("alarm-not-delivered", way=delivery.way, number=delivery.alarm.number, why=str(error))
-            store.log("warning", PROCESS, said, delivery.alarm.press)
+            message = say("alarm-not-delivered", way=delivery.way, number=delivery.alarm.number, why=str(error))
+            store.log("warning", PROCESS, message, delivery.alarm.press)
         return False
     store.delivered(delivery, clock())
     return True
 
 
 class _Watch:
-    """The two threads, and what is told of them."""
+    """The two threads, and what is reported of them."""
 
     def __init__(self, store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> None:
         self._store, self._ways, self._clock, self._began = store, ways, clock, clock()
         self._stop = threading.Event()
         looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
-        self._told = False
-        """Whether it is told what stands still now."""
+        self._reported = False
+        """Whether what stands still now is reported."""
         self._threads = [
-            SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._tell, looking),
-            SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._tell, sending),
+            SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._journal, looking),
+            SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._journal, sending),
         ]
 
     def start(self) -> None:
@@ -96,10 +96,10 @@ class _Watch:
     def stalled(self) -> Message | None:
         """Return why one of the two stands still, or None; it is journalled once."""
         why = self._looking.stalled() or self._sending.stalled()
-        if why is not None and not self._told:
+        if why is not None and not self._reported:
             LOG.error("%s", why)  # journalled by a thread: the store may be what they wait for
-            SupervisedThread("stalled", lambda: self._tell(why), lambda fault: None).start()
-        self._told = why is not None
+            SupervisedThread("stalled", lambda: self._journal(why), lambda fault: None).start()
+        self._reported = why is not None
         return why
 
     def _look(self) -> None:
@@ -118,7 +118,7 @@ class _Watch:
                 LOG.info("%s", say("store-trying-again", why=spoken(error)))
             self._stop.wait(seconds)
 
-    def _tell(self, fault: Message) -> None:
+    def _journal(self, fault: Message) -> None:
         self._store.log("alarm", PROCESS, fault)
 
 

@@ -1,7 +1,7 @@
 """The ways an alarm takes to people: e-mail over SMTP, and JSON to a webhook.
 
-Both carry the alarm's number where a receiver that is told twice, after a kill between its word and our note, can
-tell: `Message-ID` of the e-mail, `Idempotency-Key` of the request.
+Both carry the alarm's number where a receiver that gets it twice, after a kill between its word and our note, can
+know it: `Message-ID` of the e-mail, `Idempotency-Key` of the request.
 """
 
 from __future__ import annotations
@@ -79,21 +79,21 @@ class Email:
                     _login(server, s.user, _first_line(s.password_file))
                 server.send_message(self.message(alarm))
         except (smtplib.SMTPException, OSError, ValueError) as error:
-            said = f"{s.host}:{s.port}: {error or type(error).__name__}"
-            raise NotDelivered(self._without_password(said)) from error
+            answer = f"{s.host}:{s.port}: {error or type(error).__name__}"
+            raise NotDelivered(self._without_password(answer)) from error
 
-    def _without_password(self, said: str) -> str:
+    def _without_password(self, answer: str) -> str:
         """Return what a mail server answers without the password, which it may repeat as it was sent."""
         user = self.settings.user
         try:
             password = _first_line(self.settings.password_file) if user else ""
         except (OSError, UnicodeDecodeError):  # nothing was sent then
-            return said
+            return answer
         sent = (f"\0{user}\0{password}", password)
         forms = [form for one in sent for form in (_coded(one), _coded(one).rstrip("="), repr(one)[1:-1], one)]
         for form in forms if password else ():
-            said = said.replace(form, "***")
-        return said
+            answer = answer.replace(form, "***")
+        return answer
 
     def message(self, alarm: StoredAlarm) -> EmailMessage:
         """Return the message, in the language configured."""
@@ -130,8 +130,8 @@ def _login(server: smtplib.SMTP, user: str, password: str) -> None:
         raise smtplib.SMTPAuthenticationError(code, answer)
 
 
-def _coded(said: str) -> str:
-    return b64encode(said.encode()).decode()
+def _coded(text: str) -> str:
+    return b64encode(text.encode()).decode()
 
 
 class _NoRedirect(HTTPRedirectHandler):
@@ -185,8 +185,8 @@ def ways_of(email: EmailSettings | None, webhook: WebhookSettings | None, store:
     return ways
 
 
-def _digest(said: str) -> str:
-    return sha256(said.encode()).hexdigest()[:12]
+def _digest(text: str) -> str:
+    return sha256(text.encode()).hexdigest()[:12]
 
 
 def _readable(path: Path | None) -> str:

@@ -16,7 +16,7 @@ import math
 
 from api.answers.present import SILENT_S, is_of_now
 from api.answers.schemas import Advice, EstimateNow
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from daq.words import Message, say
 from softsensor.live.validity import reason_message
 
@@ -53,8 +53,8 @@ def _of_open_press(estimate: EstimateNow, target_C: float | None, opened_s: floa
     if not math.isfinite(opened_s):
         return _known("not_closed", say("advice-not-closed"), target_C)
     peak_C = estimate.peak_C  # noqa: N806
-    said = say("advice-opened") if peak_C is None else say("advice-opened-peak", peak_C=peak_C)
-    return _known("opened", said, target_C, peak_C=peak_C, age_s=_age_of_look(estimate))
+    message = say("advice-opened") if peak_C is None else say("advice-opened-peak", peak_C=peak_C)
+    return _known("opened", message, target_C, peak_C=peak_C, age_s=_age_of_look(estimate))
 
 
 def _age_of_look(estimate: EstimateNow) -> float | None:
@@ -92,12 +92,12 @@ def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  
         return _known("open_now", say("advice-open-now"), target_C, age_s=age_s, **bounds)
     low, high = bounds["open_earliest_s"], bounds["open_latest_s"]
     if low is None:
-        said = say("advice-open-in", seconds=at)
+        message = say("advice-open-in", seconds=at)
     elif high is None:
-        said = say("advice-open-in-at-least", seconds=at, low=low)
+        message = say("advice-open-in-at-least", seconds=at, low=low)
     else:
-        said = say("advice-open-in-between", seconds=at, low=low, high=high)
-    return _known("open_in", said, target_C, age_s=age_s, **bounds)
+        message = say("advice-open-in-between", seconds=at, low=low, high=high)
+    return _known("open_in", message, target_C, age_s=age_s, **bounds)
 
 
 def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803
@@ -109,14 +109,14 @@ def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa
         why = say("advice-no-look-ahead") if age_s is None else say("advice-old", seconds=age_s)
         return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
     if (foreseen := _from_now(estimate.limits_in_s, estimate)) is not None:
-        at = max(foreseen, AT_ONCE_S)  # not yet, or the newest scan would have said so
+        at = max(foreseen, AT_ONCE_S)  # not yet, or the newest scan would show it
         return _known("open_in", say("advice-open-in", seconds=at), target_C, age_s=age_s, open_in_s=round(at, 1))
     if not estimate.limits_blocking:
         return _known("not_known", say("advice-not-known", why=say("advice-no-limit")), target_C, age_s=age_s)
-    said = say("advice-blocked", limit=estimate.limits_blocking)
-    return _known("blocked", said, target_C, age_s=age_s, blocking=estimate.limits_blocking)
+    message = say("advice-blocked", limit=estimate.limits_blocking)
+    return _known("blocked", message, target_C, age_s=age_s, blocking=estimate.limits_blocking)
 
 
-def _known(verdict: str, said: Message, target_C: float | None, **numbers: float | str | None) -> Advice:  # noqa: N803
+def _known(verdict: str, message: Message, target_C: float | None, **numbers: float | str | None) -> Advice:  # noqa: N803
     given = {"verdict": verdict, "target_C": target_C, **numbers}
-    return Advice.model_validate({**given, "sentence": str(said), "sentence_said": said_of(said)})
+    return Advice.model_validate({**given, "sentence": str(message), "sentence_said": message_answer(message)})

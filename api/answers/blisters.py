@@ -11,7 +11,7 @@ import numpy as np
 
 from api.answers.kept import Kept
 from api.answers.schemas import Blisters, MarkedPanel
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from daq.press.header import BLISTER, GOOD, VERDICT
 from daq.press.resin_file import Resin
 from daq.records import InputError
@@ -54,7 +54,7 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
         curve_kPa=CURVE_KPA.round(2).tolist(),
         chance=found.chance(Normal(np.log(CURVE_KPA), np.zeros(len(CURVE_KPA)))).round(4).tolist(),
         sentences=[str(line) for line in lines],
-        sentences_said=[said_of(line) for line in lines],
+        sentences_said=[message_answer(line) for line in lines],
     )
 
 
@@ -75,11 +75,11 @@ def _panel(run: RunRecord, mean: float, sd: float) -> MarkedPanel:
 
 
 def _at_opening(store: Store, run: str) -> tuple[float, float]:
-    """Return ln of the steam last told before the press opened, and its deviation; NaN where none was. [ln kPa]"""
-    told: Sequence[tuple[float, StoredEstimate]] = ()
+    """Return ln of the last steam before the press opened, and its deviation; NaN where none was. [ln kPa]"""
+    estimates: Sequence[tuple[float, StoredEstimate]] = ()
     with suppress(InputError):  # in an archive that is away, or deleted by rule
-        told = store.estimates(run)
-    last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(told) if e.state == "closed"), {})
+        estimates = store.estimates(run)
+    last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(estimates) if e.state == "closed"), {})
     middle, high = last.get("steam_kPa", math.nan), last.get("steam_high_kPa", math.nan)
     if middle > 0.0 and high > middle:
         return math.log(middle), math.log(high / middle) / BAND

@@ -27,7 +27,7 @@ _ROLES: tuple[Role, ...] = ("platen", "top", "bottom", "core")
 
 
 def channel_role(channel: str) -> Role:
-    """Tell platen, face and core channels apart by the contract's column names."""
+    """Distinguish platen, face and core channels by the contract's column names."""
     return next((role for role in _ROLES if channel.startswith(role)), "other")
 
 

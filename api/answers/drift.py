@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from api.answers.kept import Kept
 from api.answers.schemas import Drift
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from daq.store.store import Store
 
 PRESSES = 200
@@ -33,7 +33,7 @@ def _charted(store: Store, press: str) -> Sequence[Drift]:
             factor=round(alarm.factor, 4),
             chart=alarm.chart.value,
             sentence=str(alarm.message),
-            sentence_said=said_of(alarm.message),
+            sentence_said=message_answer(alarm.message),
         )
         for alarm in alarms_of(store, press)
     ]

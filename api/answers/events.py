@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from api.answers.schemas import EventRecord
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from daq.store.records import JournalEntry, StoredPressEvent
 from daq.words import Message
 
 
 def event_of(entry: JournalEntry) -> EventRecord:
-    """Return a line of the journal; `run` is the one it tells of, where it tells of one."""
+    """Return a line of the journal; `run` is the one it is about, where it is about one."""
     run = entry.message.arguments.get("run") or (entry.detail or {}).get("run")
     return EventRecord(
         id=str(entry.number),
@@ -19,14 +19,14 @@ def event_of(entry: JournalEntry) -> EventRecord:
         press=entry.press,
         run=run if isinstance(run, str) else None,
         message=str(entry.message),
-        message_said=said_of(entry.message),
+        message_said=message_answer(entry.message),
         details=dict(entry.detail or {}),
     )
 
 
 def press_event_of(event: StoredPressEvent, run: str | None) -> EventRecord:
     """Return what a press did as a line like those of the journal."""
-    said = Message(f"journal-press-{event.kind}")
+    message = Message(f"journal-press-{event.kind}")
     return EventRecord(
         id=str(event.number),
         utc=event.utc,
@@ -34,7 +34,7 @@ def press_event_of(event: StoredPressEvent, run: str | None) -> EventRecord:
         process="record",
         press=event.press,
         run=run,
-        message=str(said),
-        message_said=said_of(said),
+        message=str(message),
+        message_said=message_answer(message),
         details={"source": event.source},
     )

@@ -48,7 +48,7 @@ class Curves:
     """On times of their own, `platen_time_s`."""
     platen_time_s: Array = field(default_factory=lambda: np.empty(0))
     live: Mapping[str, Array] = field(default_factory=dict)
-    """What the live sensor said where it was valid: `core`, `low`, `high`, at `live_time_s`; empty for nothing."""
+    """The live sensor's valid estimates: `core`, `low`, `high`, at `live_time_s`; empty for nothing."""
     live_time_s: Array = field(default_factory=lambda: np.empty(0))
 
 
@@ -172,8 +172,8 @@ def _axes(
     yield f'<text {turned} fill="{FAINT}">{_text(label, language)}</text>'
 
 
-def _text(said: Message, language: str) -> str:
-    return escape(words(said, language))
+def _text(message: Message, language: str) -> str:
+    return escape(words(message, language))
 
 
 def _line(
@@ -203,8 +203,8 @@ def _legend(names: Sequence[str], language: str, *, platens: bool, live: bool) -
     entries += [(say("page-core-simulated"), CORE)]
     entries += [(say("page-platens"), PLATEN)] if platens else []
     entries += [(say("figure-core-live"), LIVE)] if live else []
-    for said, colour in entries:
-        name = words(said, language)
+    for message, colour in entries:
+        name = words(message, language)
         if x + 21 + 6.3 * len(name) > WIDTH - RIGHT:
             x, y = float(LEFT), y + 16
         dash = DASH if colour == CORE else "none"

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from api.answers.schemas import ArchiveHealth, Health, ProcessHealth, Said, StoreHealth
 from api.answers.thresholds import crossed
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from daq.store.records import Archive, ProcessStatus, StandingAlarm, StoreUnavailable
 from daq.store.store import Store
 from daq.store.upkeep import Sizes
@@ -26,7 +26,7 @@ EXPECTED = ("record", "sense")
 WANTED = ("publish",)
 """Processes a system may do without; one that ran lately and was not stopped in order is missed."""
 SEEN_S, SEEN_BYTES = 600.0, 16_000_000
-"""How long the disk lasts is told after this much recording: before, the cost of a scan is that of empty tables
+"""How long the disk lasts is given after this much recording: before, the cost of a scan is that of empty tables
 and of the write-ahead log (4 MB), and the figure many times too small."""
 LONG_S = 7200.0
 """A silence longer than this is counted in hours. [s]"""
@@ -39,7 +39,7 @@ REFIT_OVERDUE_S = 180_000.0
 ALARM_AGE = timedelta(minutes=10)
 """Alarms of the journal older than this are history."""
 NEVER_SEEN = "health-process-never-seen"
-"""What is said of a process that should run and never gave a sign of life."""
+"""The message about a process that should run and never gave a sign of life."""
 
 
 def installed_version() -> str:
@@ -68,7 +68,7 @@ def health_of(store: Store, now: datetime) -> Health:
 
 
 def standing_alarms(store: Store, now: datetime) -> list[StandingAlarm]:
-    """Return what stands now, as `/health` tells it, with what each is about: to be raised once."""
+    """Return what stands now, as `/health` has it, with what each is about: to be raised once."""
     statuses = store.statuses()
     processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
     conditions = _conditions(store, statuses, processes, store.sizes().free_bytes, now)
@@ -76,18 +76,20 @@ def standing_alarms(store: Store, now: datetime) -> list[StandingAlarm]:
     return [*found, *crossed(store, now)]
 
 
-def _key(said: Message) -> str:
+def _key(message: Message) -> str:
     """Return what a message is about, without the figures that change while it stands.
 
     >>> _key(say("health-process-silent", process="sense", seconds=12.5, command="sense"))
     'health-process-silent:sense:sense'
     """
-    about = [a if isinstance(a, str) else _key(a) for a in said.arguments.values() if isinstance(a, str | Message)]
-    return ":".join([said.code.removesuffix("-for-hours"), *about])
+    about = [
+        a if isinstance(a, str) else _key(a) for a in message.arguments.values() if isinstance(a, str | Message)
+    ]
+    return ":".join([message.code.removesuffix("-for-hours"), *about])
 
 
-def _press_in(said: Message) -> str | None:
-    press = said.arguments.get("press")
+def _press_in(message: Message) -> str | None:
+    press = message.arguments.get("press")
     return press if isinstance(press, str) else None
 
 
@@ -121,15 +123,15 @@ def _health(
     processes: list[ProcessHealth],
     alarms: Sequence[Message],
 ) -> Health:
-    told = {str(alarm): said_of(alarm) for alarm in alarms}
+    messages = {str(alarm): message_answer(alarm) for alarm in alarms}
     return Health(
         status=status,
         version=installed_version(),
         utc=now,
         store=store,
         processes=processes,
-        alarms=list(told),
-        alarms_said=list(told.values()),
+        alarms=list(messages),
+        alarms_said=list(messages.values()),
     )
 
 
@@ -143,7 +145,7 @@ def duty_of(process: str) -> str:
 
 
 def _names(statuses: Mapping[str, ProcessStatus], now: datetime) -> list[str]:
-    """Return the processes to tell of: the expected ones of every machine there lately, then the others."""
+    """Return the processes to show: the expected ones of every machine there lately, then the others."""
     names = []
     for expected in EXPECTED:
         known = sorted((n for n in statuses if duty_of(n) == expected), key=lambda n: statuses[n].utc)
@@ -160,22 +162,22 @@ def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessH
             alive=False,
             state="silent",
             message=str(unseen),
-            message_said=[said_of(unseen)],
+            message_said=[message_answer(unseen)],
             utc=None,
             age_s=None,
         )
     age_s = max((now - status.utc).total_seconds(), 0.0)
-    told = status.status
-    ended = told.get("state") in ("stopped", "done")
+    beat = status.status
+    ended = beat.get("state") in ("stopped", "done")
     return ProcessHealth(
         name=name,
         alive=age_s < SILENT_S and not ended,
-        state=str(told.get("state", "running")),
-        message=str(told.get("message", "")),
-        message_said=[Said(**said) for said in told.get("message_codes", ())],
+        state=str(beat.get("state", "running")),
+        message=str(beat.get("message", "")),
+        message_said=[Said(**coded) for coded in beat.get("message_codes", ())],
         utc=status.utc,
         age_s=round(age_s, 3),
-        details=dict(told),
+        details=dict(beat),
     )
 
 
@@ -247,8 +249,8 @@ def _store_health(store: Store, sizes: Sizes, scans_per_s: float) -> StoreHealth
 
 def _scans_per_s(processes: Sequence[ProcessHealth]) -> float:
     """Return how many scans the recorders at work make of all their presses. [1/s]"""
-    told = [process.details for process in processes if process.alive and duty_of(process.name) == "record"]
-    presses = [press for details in told for press in details.get("presses", [])]
+    recorders = [process.details for process in processes if process.alive and duty_of(process.name) == "record"]
+    presses = [press for details in recorders for press in details.get("presses", [])]
     return math.fsum(press.get("rate_hz", 0.0) * press.get("speed", 1.0) for press in presses)
 
 
@@ -261,7 +263,7 @@ def _archive_health(archive: Archive | None) -> ArchiveHealth | None:
 
 
 def hours_left(size_bytes: int, free_bytes: int, scans: int, scans_per_s: float) -> float | None:
-    """Return how long the disk lasts, None before enough was recorded to tell. [h]
+    """Return how long the disk lasts, None before enough was recorded. [h]
 
     Examples
     --------

@@ -148,19 +148,19 @@ def _silent(utc: datetime | None, now: datetime) -> Invalid | None:
     return None if is_of_now(age_s) else Invalid(InvalidReason.LIVE_SENSOR_SILENT, {"silent_s": round(age_s)})
 
 
-def _beside(said: StoredEstimate, state: State, run: RunRecord | None) -> Invalid | None:
+def _beside(estimate: StoredEstimate, state: State, run: RunRecord | None) -> Invalid | None:
     """Return why an estimate of now is not about the panel in the press as it stands."""
     if state == "idle":
         return Invalid(InvalidReason.NO_PANEL)
     if state == "unknown":
         return Invalid(InvalidReason.PRESS_STATE_UNKNOWN)
-    if run is None or said.number < run.first_scan or said.state == "idle":
+    if run is None or estimate.number < run.first_scan or estimate.state == "idle":
         return Invalid(InvalidReason.NO_ESTIMATE_YET)
-    return Invalid(InvalidReason.PRESS_STATE_UNKNOWN) if said.valid and said.state != state else None
+    return Invalid(InvalidReason.PRESS_STATE_UNKNOWN) if estimate.valid and estimate.state != state else None
 
 
 def as_of_now(
-    said: StoredEstimate,
+    estimate: StoredEstimate,
     utc: datetime | None,
     state: State,
     run: RunRecord | None,
@@ -176,12 +176,12 @@ def as_of_now(
     late
         Why the newest scan is not of now.
     """
-    why = late or _silent(utc, now) or _beside(said, state, run)
+    why = late or _silent(utc, now) or _beside(estimate, state, run)
     stands: PressState | Literal["unknown"] = "unknown" if state == "unknown" else PressState(state)
     if why is None:
-        return replace(said, state=stands)
+        return replace(estimate, state=stands)
     return replace(
-        said,
+        estimate,
         state=stands,
         core_celsius=math.nan,
         core_sd_kelvin=math.nan,

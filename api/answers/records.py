@@ -29,7 +29,7 @@ from api.answers.schemas import (
     State,
     Target,
 )
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from daq.press.header import VERDICT, doubts
 from daq.press.press_file import parse_press
 from daq.records import InputError
@@ -39,7 +39,7 @@ from daq.store.store import Store
 from daq.words import Message, spoken
 
 TOLD_HERE = {"age_s", "valid_until_utc", "open_now", "advice"}
-"""What of an estimate depends on when it is told."""
+"""What of an estimate depends on when it is asked for."""
 BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__) - TOLD_HERE
 """What the sensor stores beside an estimate and the API hands on."""
 BESIDE_INVALID = {"suspected", "reason_arguments", "left_out"}
@@ -104,7 +104,7 @@ def run_summary(store: Store, run: RunRecord, fit: Mapping[str, Any] | None) -> 
         described=None if fit is None else is_described(fit),
         verdict=run.header.get(VERDICT),
         damage=None if run.damage is None else str(run.damage),
-        damage_said=None if run.damage is None else said_of(run.damage),
+        damage_said=None if run.damage is None else message_answer(run.damage),
     )
 
 
@@ -120,13 +120,13 @@ def run_detail(store: Store, run: RunRecord) -> RunDetail:
             RunEdit(utc=c.utc, who=c.who, field=c.field, before=_plain(c.before), after=_plain(c.after))
             for c in store.run_changes(run.run)
         ],
-        **doubts_told(doubts(run.header)),
+        **doubt_fields(doubts(run.header)),
     )
 
 
-def doubts_told(found: Sequence[Message]) -> dict[str, Any]:
+def doubt_fields(found: Sequence[Message]) -> dict[str, Any]:
     """Return what is doubtful in a header as answers carry it."""
-    return {"doubts": [str(doubt) for doubt in found], "doubts_said": [said_of(doubt) for doubt in found]}
+    return {"doubts": [str(doubt) for doubt in found], "doubts_said": [message_answer(doubt) for doubt in found]}
 
 
 def _plain(value: object) -> Any:
@@ -150,7 +150,7 @@ def estimate_now(
     """
     handed_on = BESIDE if estimate.valid else BESIDE_INVALID
     age_s = age_of(utc, now)
-    told = EstimateNow(
+    answer = EstimateNow(
         run=run.run if run else None,
         number=estimate.number,
         utc=utc,
@@ -168,15 +168,17 @@ def estimate_now(
         **{k: v for k, v in (estimate.detail or {}).items() if k in handed_on},
     )
     target_C = _header_number(run, "setting.core_target_C") if run else None  # noqa: N806
-    return told.model_copy(update={"advice": advice_of(told, target_C, run.moments.opened_s if run else math.nan)})
+    return answer.model_copy(
+        update={"advice": advice_of(answer, target_C, run.moments.opened_s if run else math.nan)}
+    )
 
 
 def estimate_of(present: Present, run: RunRecord | None, now: datetime) -> EstimateNow | None:
     """Return what the live sensor says of a press now as the API shows it, with `run` where it belongs to that."""
-    said = present.estimate
-    if said is None:
+    estimate = present.estimate
+    if estimate is None:
         return None
-    return estimate_now(said, run_of_scan([run] if run else [], said.number), present.estimate_utc, now)
+    return estimate_now(estimate, run_of_scan([run] if run else [], estimate.number), present.estimate_utc, now)
 
 
 def run_of_scan(runs: Iterable[RunRecord], number: int) -> RunRecord | None:
@@ -194,8 +196,8 @@ def target_of(store: Store, run: RunRecord | None, estimate: EstimateNow | None)
         return None
     if highest_core(store, run) >= wanted:
         return Target(temperature_C=wanted, reached=True, time_to_target_s=0.0)
-    told = estimate is not None and estimate.valid and estimate.run == run.run
-    ahead = estimate.target_in_s if estimate and told else None
+    usable = estimate is not None and estimate.valid and estimate.run == run.run
+    ahead = estimate.target_in_s if estimate and usable else None
     if estimate and ahead is not None:
         ahead = round(max(ahead - (estimate.age_s or 0.0), 0.0), 1)
     return Target(temperature_C=wanted, reached=False, time_to_target_s=ahead)
@@ -332,7 +334,7 @@ def _why(model: ModelRecord) -> Said | None:
     kept = (model.model.get("basis") or {}).get("reason")
     if kept:
         return Said(**kept)
-    return said_of(spoken(model.reason)) if model.reason else None
+    return message_answer(spoken(model.reason)) if model.reason else None
 
 
 def diagnosis_of(diagnosis: StoredDiagnosis) -> DiagnosisRecord:
@@ -350,7 +352,7 @@ def diagnosis_of(diagnosis: StoredDiagnosis) -> DiagnosisRecord:
 
 
 def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:
-    """Return how people are told the parameters of some effects, by full name."""
+    """Return how people are shown the parameters of some effects, by full name."""
     from softsensor.effects import known_effect
 
     found = {}
@@ -359,10 +361,10 @@ def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:
             called, unit = effect.parameter_called(p.name), p.shown_unit
             found[effect.key(p.name)] = ParameterWords(
                 words=str(called),
-                words_said=said_of(called),
+                words_said=message_answer(called),
                 factor=p.factor,
                 unit=str(unit),
-                unit_said=said_of(unit),
+                unit_said=message_answer(unit),
             )
     return found
 

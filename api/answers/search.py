@@ -115,9 +115,9 @@ def hits(store: Store, records: Sequence[RunRecord]) -> list[RunHit]:
         fit = fits.get(record.run)
         summary = run_summary(store, record, fit)
         numbers = numbers_of(record, cores.get(record.run), summary.rmse_K, fit)
-        told = {name: number_or_none(value) for name, value in numbers.items()}
+        shown_numbers = {name: number_or_none(value) for name, value in numbers.items()}
         recipe = str(record.header.get("recipe", ""))
-        shown.append(RunHit(**summary.model_dump(), remark=record.remark, recipe=recipe, numbers=told))
+        shown.append(RunHit(**summary.model_dump(), remark=record.remark, recipe=recipe, numbers=shown_numbers))
     return shown
 
 
@@ -132,8 +132,8 @@ def numbers_of(
     Of the coefficients those that the run determines, and none where the model does not describe it.
     """
     found = fit or {}
-    told = found.get("coefficients", {}) if is_described(found) else {}
-    coefficients = {name: float(c["value"]) for name, c in told.items() if c.get("identifiable") is not False}
+    fitted = found.get("coefficients", {}) if is_described(found) else {}
+    coefficients = {name: float(c["value"]) for name, c in fitted.items() if c.get("identifiable") is not False}
     given = {
         k: float(v) for k, v in record.header.items() if isinstance(v, int | float) and not isinstance(v, bool)
     }
@@ -151,8 +151,8 @@ def _matches(record: RunRecord, wanted: Wanted) -> bool:
     if wanted.verdict and record.header.get(VERDICT) != wanted.verdict:
         return False
     texts = (record.run, record.press, record.remark, *(v for v in record.header.values() if isinstance(v, str)))
-    told = "\n".join(texts).casefold()
-    return all(word.casefold() in told for word in wanted.words)
+    text = "\n".join(texts).casefold()
+    return all(word.casefold() in text for word in wanted.words)
 
 
 def _ordered(

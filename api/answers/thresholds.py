@@ -50,15 +50,15 @@ def _drifts(store: Store, press: str, limits: AlarmLimits) -> Iterator[StandingA
     for drift in drift_of(store, press) if limits.drift_percent is not None else ():
         if 100.0 * abs(drift.factor - 1.0) >= (limits.drift_percent or 0.0):
             where = {"coefficient": drift.coefficient, "since": drift.since_run}
-            said = say("alarm-drift", press=press, percent=100.0 * drift.factor, **where)
-            yield _of(f"drift:{drift.coefficient}:{drift.since_run}", press, said)
+            message = say("alarm-drift", press=press, percent=100.0 * drift.factor, **where)
+            yield _of(f"drift:{drift.coefficient}:{drift.since_run}", press, message)
 
 
 def _core(store: Store, press: str, limits: AlarmLimits, now: datetime) -> Iterator[StandingAlarm]:
     if limits.core_above_C is None:
         return
-    said = present_of(store, press, now).estimate
-    if said is not None and said.valid and said.core_celsius > limits.core_above_C:
+    estimate = present_of(store, press, now).estimate
+    if estimate is not None and estimate.valid and estimate.core_celsius > limits.core_above_C:
         yield _of("core", press, say("alarm-core-above", press=press, limit=limits.core_above_C))
 
 
@@ -68,11 +68,11 @@ def _platens(press: str, channels: tuple[str, ...], scan: Scan, limits: AlarmLim
             continue
         about = {"press": press, "channel": channel}
         if limits.platen_above_C is not None and value > limits.platen_above_C:
-            said = say("alarm-platen-above", limit=limits.platen_above_C, **about)
-            yield _of(f"above:{channel}", press, said)
+            message = say("alarm-platen-above", limit=limits.platen_above_C, **about)
+            yield _of(f"above:{channel}", press, message)
         if limits.platen_below_C is not None and value < limits.platen_below_C:
-            said = say("alarm-platen-below", limit=limits.platen_below_C, **about)
-            yield _of(f"below:{channel}", press, said)
+            message = say("alarm-platen-below", limit=limits.platen_below_C, **about)
+            yield _of(f"below:{channel}", press, message)
 
 
 def _of(what: str, press: str, message: Message) -> StandingAlarm:

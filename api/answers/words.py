@@ -21,6 +21,6 @@ def messages_of(language: str) -> Messages:
     return Messages(language=language, languages=list(languages()), messages=messages)
 
 
-def said_of(message: Message) -> Said:
+def message_answer(message: Message) -> Said:
     """Return a message as answers carry it beside its English."""
     return Said(**message.to_json())

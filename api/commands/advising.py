@@ -13,7 +13,7 @@ from api.commands.calling import taking
 from api.commands.fitting import JsonOut
 from api.commands.inputs import PressFile
 from api.commands.planning import parse_ranges
-from api.outputs import as_json, check_writable, spoken_language, tell, working, write_all
+from api.outputs import as_json, check_writable, spoken_language, working, write_all, write_line
 from daq.records import InputError
 from daq.words import say
 from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
@@ -91,7 +91,7 @@ def advise(asked: AdviseOptions) -> None:
     from softsensor.planning.summary import advice_messages
 
     for line in advice_messages(found):
-        tell(line)
+        write_line(line)
 
 
 def parse_panel(given: Iterable[str]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from api.commands.calling import taking
 from api.commands.fitting import JsonOut
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
 from api.commands.simulating import Model
-from api.outputs import as_json, check_writable, tell, working, write_all
+from api.outputs import as_json, check_writable, working, write_all, write_line
 from daq.words import say
 
 
@@ -48,4 +48,4 @@ def blisters(asked: BlistersOptions) -> None:
         found = learn_steam_limit(loaded, described, known, resin=paper)
         write_all({} if asked.json is None else {asked.json: as_json(found.as_json())})
     for line in limit_messages(found):
-        tell(line)
+        write_line(line)

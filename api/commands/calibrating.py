@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.commands.inputs import ConfigFile, config_path
-from api.outputs import WorkFailed, in_words, tell
+from api.outputs import WorkFailed, in_words, write_line
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -94,7 +94,7 @@ def _room(loggers: list[_Calibrated], reference: float, period_s: float, *, writ
             found = check_at_room_temperature(*one.read(logger, period_s), reference)
             checks.append(found)
             for check in found:
-                tell(_line(check))
+                write_line(_line(check))
     if write:
         for one, found in zip(loggers, checks, strict=True):
             _write(one.settings, found, reference)
@@ -137,7 +137,7 @@ def _write(settings: LoggerSettings, checks: tuple[RoomCheck, ...], reference: f
 
     path = settings.calibration
     if path is None:
-        tell(say("terminal-calibrate-not-kept", logger=settings.name))
+        write_line(say("terminal-calibrate-not-kept", logger=settings.name))
         return
     today = datetime.now(UTC).date()
     history = read_calibrations(path) if path.exists() else ()
@@ -147,7 +147,7 @@ def _write(settings: LoggerSettings, checks: tuple[RoomCheck, ...], reference: f
         gain, offset = (old.gain, old.offset_K) if old else (1.0, 0.0)
         entries.append(entry.model_copy(update={"gain": gain, "offset_K": round(offset + entry.offset_K, 3)}))
     append_calibrations(path, entries)
-    tell(say("terminal-calibrate-added", path=str(path), entries=len(entries), day=str(today)))
+    write_line(say("terminal-calibrate-added", path=str(path), entries=len(entries), day=str(today)))
 
 
 def _warm(loggers: list[_Calibrated], wait_s: float | None, period_s: float) -> None:
@@ -155,7 +155,7 @@ def _warm(loggers: list[_Calibrated], wait_s: float | None, period_s: float) -> 
 
     with _opened(loggers) as opened:
         before = [one.read(logger, period_s)[1] for one, logger in opened]
-        tell(say("terminal-hold-one-now"))
+        write_line(say("terminal-hold-one-now"))
         if wait_s is None:
             typer.prompt(in_words(say("terminal-press-enter")), default="", show_default=False)
         else:
@@ -168,7 +168,7 @@ def _warm(loggers: list[_Calibrated], wait_s: float | None, period_s: float) -> 
     if len(clear) != 1:
         raise WorkFailed(say("terminal-no-channel-rose", rises=tuple(_rise(s, w) for s, w in found)))
     settings, warmed = clear[0]
-    tell(say("terminal-rose", channel=str(warmed.channel), logger=settings.name, rise=warmed.rise_kelvin))
+    write_line(say("terminal-rose", channel=str(warmed.channel), logger=settings.name, rise=warmed.rise_kelvin))
 
 
 def _rise(settings: LoggerSettings, warmed: Warmed) -> Message:

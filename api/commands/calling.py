@@ -1,7 +1,7 @@
-"""How commands are called: their help, and what is said of a wrong call, from the catalogues like all else.
+"""How commands are called: their help, and the message for a wrong call, from the catalogues like all else.
 
 An option names the code of its help (``help="help-speed"``), a command's is ``help-command-`` and its name. What
-the command line library would say in English is said here.
+the command line library would say in English is put into words here.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ class Group(TyperGroup):
         """Return the command that is called. Raises `InputError` for one that does not exist."""
         if args[0] not in self.commands and not ctx.resilient_parsing:
             meant = nearest(args[0], self.commands)
-            said = say("call-command-unknown", command=args[0])
+            problem = say("call-command-unknown", command=args[0])
             raise InputError(
-                said if meant is None else say("call-command-unknown-meant", meant=meant, command=args[0])
+                problem if meant is None else say("call-command-unknown-meant", meant=meant, command=args[0])
             )
         return super().resolve_command(ctx, args)
 
@@ -98,8 +98,8 @@ def _with_words(items: list[Any], parameters: Iterable[Any]) -> list[Any]:
 
     known = {name: parameter_help(one) for one in parameters for name in one.opts}
     for item in items:
-        if told := known.get(item.value, Message(item.help) if item.help else None):
-            item.help = escape(textwrap.shorten(in_words(told), _width() - 1, placeholder="…"))
+        if text := known.get(item.value, Message(item.help) if item.help else None):
+            item.help = escape(textwrap.shorten(in_words(text), _width() - 1, placeholder="…"))
     return items
 
 
@@ -167,15 +167,15 @@ def help_lines(command: TyperCommand | TyperGroup, ctx: Any) -> Iterator[str]:
     arguments: list[tuple[str, Message]] = []
     for one in command.get_params(ctx):
         parameter: Any = one
-        told = parameter_help(parameter)
+        text = parameter_help(parameter)
         if parameter.param_type_name == "argument":
-            arguments.append((" ".join(map(placeholders, parameter.get_usage_pieces(ctx))), told))
+            arguments.append((" ".join(map(placeholders, parameter.get_usage_pieces(ctx))), text))
             continue
         if parameter.default not in (None, False, "") and not parameter.required:
-            told = say("help-default", told=told, value=parameter.default)
+            text = say("help-default", text=text, value=parameter.default)
         if parameter.envvar:
-            told = say("help-environment", told=told, name=parameter.envvar)
-        options.append((" ".join(filter(None, (parameter.opts[-1], placeholders(parameter.metavar or "")))), told))
+            text = say("help-environment", text=text, name=parameter.envvar)
+        options.append((" ".join(filter(None, (parameter.opts[-1], placeholders(parameter.metavar or "")))), text))
     yield from _section(say("help-arguments"), arguments)
     yield from _section(say("help-options"), options)
 
@@ -186,8 +186,8 @@ def _section(heading: Message, rows: list[tuple[str, Message]]) -> Iterable[str]
     yield ""
     yield in_words(heading)
     wide = max(len(name) for name, _ in rows) + 4
-    for name, told in rows:
-        first, *more = textwrap.wrap(in_words(told), max(_width() - wide, 30))
+    for name, text in rows:
+        first, *more = textwrap.wrap(in_words(text), max(_width() - wide, 30))
         yield f"  {name:{wide - 2}}{first}"
         yield from (" " * wide + line for line in more)
 
@@ -197,25 +197,25 @@ def _width() -> int:
 
 
 def refusal_of(error: Exception) -> Message:
-    """Return what is said of a call that the command line library refuses; its errors differ."""
-    told: Any = error
+    """Return the message for a call that the command line library refuses; its errors differ."""
+    refused: Any = error
     option = getattr(error, "option_name", None)
     if option is not None and not hasattr(error, "possibilities"):
         return say("call-option-without-value", option=option)
-    if option is not None and told.possibilities:
-        return say("call-option-unknown-meant", option=option, meant=tuple(sorted(told.possibilities)))
+    if option is not None and refused.possibilities:
+        return say("call-option-unknown-meant", option=option, meant=tuple(sorted(refused.possibilities)))
     if option is not None:
         return say("call-option-unknown", option=option)
     parameter = getattr(error, "param", None)
     if parameter is None:
-        return say("plain-text", text=str(told.message))
+        return say("plain-text", text=str(refused.message))
     name = parameter.opts[-1] if parameter.param_type_name == "option" else placeholders(parameter.metavar)
-    if not told.message:
+    if not refused.message:
         return say("at-key", key=name, what=say("key-missing"))
     from pydantic import ValidationError
 
     if not isinstance(error.__cause__, ValidationError):
-        return say("at-key", key=name, what=say("plain-text", text=str(told.message)))
+        return say("at-key", key=name, what=say("plain-text", text=str(refused.message)))
     item = error.__cause__.errors()[0]
     choices = tuple(str(parameter.metavar).split("|"))
     why = say("call-not-one-of", known=choices) if len(choices) > 1 else why_of(item)

@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from api.commands.inputs import effect_names
-from api.outputs import tell
+from api.outputs import write_line
 from daq.records import InputError
 from daq.words import say, spoken
 
@@ -33,7 +33,7 @@ def demo(
     with started(plan, data) as children:
         from api.demo.demonstration import run_demo  # while the others come up
 
-        run_demo(plan, children, tell, kept=data is not None)
+        run_demo(plan, children, write_line, kept=data is not None)
 
 
 def end_in_order() -> None:

@@ -13,7 +13,16 @@ from api.commands.calling import taking
 from api.commands.fitting import HtmlOut, JsonOut, ModelOut, Outputs, aligned
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, effect_names, files_read, load_runs
 from api.commands.until import Until, shortened
-from api.outputs import WorkFailed, as_json, check_writable, in_words, spoken_language, tell, working, write_all
+from api.outputs import (
+    WorkFailed,
+    as_json,
+    check_writable,
+    in_words,
+    spoken_language,
+    working,
+    write_all,
+    write_line,
+)
 from daq.records import InputError
 from daq.tables import reason_of
 from daq.words import say
@@ -39,7 +48,7 @@ RehearseFile = Annotated[Path | None, typer.Option("--rehearse-file", metavar="F
 Dask = Annotated[str, typer.Option("--dask", metavar="ADDRESS", help="help-rehearse-dask")]
 
 PLANNED = 2
-"""Open causes of which the best pressing is said, at most."""
+"""Open causes of which the best pressing is shown, at most."""
 
 
 @dataclass(frozen=True)
@@ -91,17 +100,17 @@ def diagnose(asked: DiagnoseOptions) -> None:
         write_all(_contents(found, rehearsal, asked))
         ahead = list(_ahead(described, found))
     for line in (*_lines(found, law=asked.law), *ahead):
-        tell(line)
+        write_line(line)
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
-        tell(line)
+        write_line(line)
 
 
 def _contents(found: Diagnosis, rehearsal: Rehearsal | None, asked: DiagnoseOptions) -> Outputs:
     """Return what goes into each file that was asked for."""
     outputs: Outputs = {}
     if asked.json is not None:
-        told = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
-        outputs[asked.json] = as_json(found.as_json() | told)
+        rehearsed = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
+        outputs[asked.json] = as_json(found.as_json() | rehearsed)
     if asked.model is not None:
         from softsensor.heat.model_file import model_text
         from softsensor.jobs.campaign import diagnosed_model
@@ -142,10 +151,10 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
 
     workers, total = local_workers(plan), len(plan.tasks) + len(plan.done)
     begin = say("rehearsal-begins", campaigns=len(plan.tasks), done=len(plan.done), runs=len(plan.campaign.runs))
-    tell(begin)
+    write_line(begin)
     if plan.tasks and not dask:
         minutes = max(1.0, round(plan.minutes(found.seconds, workers)))
-        tell(say("rehearsal-takes", minutes=minutes, workers=workers))
+        write_line(say("rehearsal-takes", minutes=minutes, workers=workers))
     with working(say("terminal-progress-rehearsing", campaigns=total), total) as done:
         done(len(plan.done))
         try:
@@ -153,8 +162,8 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
         except OSError as error:
             if plan.file is None:
                 raise
-            said = say("terminal-output-unwritable", path=str(plan.file), why=reason_of(error))
-            raise WorkFailed(said) from error
+            problem = say("terminal-output-unwritable", path=str(plan.file), why=reason_of(error))
+            raise WorkFailed(problem) from error
 
 
 def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
@@ -198,10 +207,10 @@ def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
     for f in found.findings:
         if f.of_channels:
             continue
-        said = say("diagnosed-cause", name=f.name, worth=worth(found, f), sureness=sureness(f, runs))
+        line = say("diagnosed-cause", name=f.name, worth=worth(found, f), sureness=sureness(f, runs))
         if len(f.set) > 1:
-            said = say("diagnosed-causes", others=f.set[1:], **said.arguments)
-        yield f"  {in_words(said)}"
+            line = say("diagnosed-causes", others=f.set[1:], **line.arguments)
+        yield f"  {in_words(line)}"
         for p in parameters_shown(f.name, {name: i.as_json() for name, i in f.parameters.items()}):
             yield f"    {in_words(p.line)}"
     yield f"  {in_words(say('diagnosed-residual', base=found.base.rmse_K, extended=found.extended.rmse_K))}"

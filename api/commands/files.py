@@ -22,7 +22,7 @@ from api.commands.inputs import (
     say_doubts,
     stored_runs,
 )
-from api.outputs import check_writable, in_words, tell, tell_table, warn, working, write_all
+from api.outputs import check_writable, in_words, warn, working, write_all, write_line, write_table
 from daq.records import ROOM_C, InputError
 from daq.tables import text_in
 from daq.words import Message, say, spoken
@@ -65,7 +65,7 @@ def import_runs(
         with working(say("terminal-progress-storing", runs=len(runs))):
             opened.import_runs(runs, described.name, text_in(press))
     say_doubts(run.header for run in runs)
-    tell(say("terminal-imported", runs=len(runs)))
+    write_line(say("terminal-imported", runs=len(runs)))
 
 
 def _reader(mapping: Path | None, press: Press) -> Callable[[Path], Run]:
@@ -141,10 +141,10 @@ def export_runs(asked: ExportOptions) -> None:
         for run in asked.runs:
             opened.run_record(run)
         targets = _targets(asked.runs, asked.out, asked.kind)
-        told = say("terminal-progress-exporting", runs=len(asked.runs))
+        title = say("terminal-progress-exporting", runs=len(asked.runs))
         check_writable(*targets, inputs=files_read(opened.database.path, store=asked.store, config=asked.config))
         contents: dict[Path, str | Callable[[Path], None]] = {}
-        with working(told, len(targets)) as done:
+        with working(title, len(targets)) as done:
             for number, (path, run) in enumerate(targets.items(), 1):
                 contents[path] = _content(opened, run, path)
                 done(number)
@@ -184,13 +184,13 @@ def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
 
 
 def _utc(day: datetime | None) -> datetime | None:
-    """Return a day given without a zone as it begins in UTC, in which lists tell when runs began."""
+    """Return a day given without a zone as it begins in UTC, in which lists give when runs began."""
     return day and day.replace(tzinfo=UTC)
 
 
 def _list_runs(store: Store, chosen: Mapping[str, Any]) -> None:
     heads = [say(f"terminal-list-{head}") for head in ("run", "started", "status", "press", "material")]
-    tell_table(heads, _run_rows(store, chosen))
+    write_table(heads, _run_rows(store, chosen))
 
 
 def _run_rows(store: Store, chosen: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
@@ -217,11 +217,11 @@ def check(
 
     path = config_path(config)
     settings = load_config(path)
-    tell(say("terminal-check-well-formed", path=str(path)))
+    write_line(say("terminal-check-well-formed", path=str(path)))
     say_doubts(press.header for press in settings.press)
     failed = _try_buffer(settings)
     with opened_store(None, path, create=True) as store:
-        tell(say("terminal-check-store-opens", store=store.label))
+        write_line(say("terminal-check-store-opens", store=store.label))
     if not offline:
         failed += [line for press in settings.press for line in _read_loggers(press)]
     if failed:
@@ -241,7 +241,7 @@ def _try_buffer(settings: Config) -> list[Message]:
         hours = try_place(buffer, settings.scans_per_second)
     except InputError as error:
         return [spoken(error)]
-    tell(say("terminal-check-buffer", file=str(buffer), hours=hours))
+    write_line(say("terminal-check-buffer", file=str(buffer), hours=hours))
     return []
 
 
@@ -265,7 +265,7 @@ def _read_loggers(press: PressSettings) -> list[Message]:
             else f"{channel.name} {in_words(Message(f'page-quality-{quality}'))}"
             for channel, value, quality in zip(logger.channels, reading.values, reading.qualities, strict=True)
         )
-        tell(f"{press.name}, {settings.name}: {shown} °C")
+        write_line(f"{press.name}, {settings.name}: {shown} °C")
         if sentence := uncorrected(settings):
-            tell(f"{press.name}, {in_words(sentence)}")
+            write_line(f"{press.name}, {in_words(sentence)}")
     return failed

@@ -14,7 +14,7 @@ import typer
 from api.commands.calling import taking
 from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs, stored_runs
 from api.commands.until import Until, shortened
-from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
+from api.outputs import as_json, check_writable, in_words, spoken_language, working, write_all, write_line
 from daq.records import InputError
 from daq.words import Message, say
 
@@ -133,19 +133,19 @@ def fit(asked: FitOptions) -> None:
             progress=count(done),
             method=chosen,
         )
-        told = predict_program(found, settings)
-        write_all(contents(found, told, asked))
+        program = predict_program(found, settings)
+        write_all(contents(found, program, asked))
     for line in _lines(found):
-        tell(line)
-    for row in told.lines if told is not None else ():
-        tell(row)
+        write_line(line)
+    for row in program.lines if program is not None else ():
+        write_line(row)
 
 
-def contents(found: CampaignFit, told: Program | None, asked: FitOptions) -> Outputs:
+def contents(found: CampaignFit, program: Program | None, asked: FitOptions) -> Outputs:
     """Return what goes into each file that was asked for."""
     outputs: Outputs = {}
     if asked.json is not None:
-        outputs[asked.json] = as_json(found.as_json() | ({"program": told.as_json()} if told else {}))
+        outputs[asked.json] = as_json(found.as_json() | ({"program": program.as_json()} if program else {}))
     if asked.model is not None:
         from softsensor.diagnosis.missing_causes import with_missing_causes
         from softsensor.heat.model_file import model_text
@@ -154,7 +154,7 @@ def contents(found: CampaignFit, told: Program | None, asked: FitOptions) -> Out
     if asked.html is not None:
         from softsensor.report.fit_report import fit_report
 
-        outputs[asked.html] = fit_report(found, told, spoken_language())
+        outputs[asked.html] = fit_report(found, program, spoken_language())
     if asked.svg is not None:
         from softsensor.report.fit_figures import campaign_figures
 
@@ -224,7 +224,7 @@ def parse_program(settings: list[str]) -> dict[str, float]:
 
 
 def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program | None:
-    """Return the coefficients of a program. Raises `InputError` where the campaign cannot tell."""
+    """Return the coefficients of a program. Raises `InputError` where the campaign cannot show them."""
     if not settings:
         return None
     known = found.dependence.settings if found.dependence is not None else ()
@@ -267,12 +267,12 @@ def _reproduce(asked: FitOptions) -> None:
         write_all(outputs)
     heads = [in_words(say(f"report-paper-{column}")) for column in found.rows[0]]
     for line in aligned([heads, *([in_words(cell) for cell in row.values()] for row in found.rows)]):
-        tell(line)
-    tell(found.message)
+        write_line(line)
+    write_line(found.message)
 
 
 def count(done: Callable[[int], None]) -> Callable[[str], None]:
-    """Turn a progress bar into a function that is told each finished item's name."""
+    """Turn a progress bar into a function that takes each finished item's name."""
     finished: list[str] = []
 
     def one_more(name: str) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from api.outputs import WorkFailed, tell, working, write_all
+from api.outputs import WorkFailed, working, write_all, write_line
 from daq.records import InputError
 from daq.tables import reason_of
 from daq.words import say
@@ -27,4 +27,4 @@ def guide(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="help-gu
     except OSError as error:
         raise WorkFailed(say("terminal-output-unwritable", path=str(folder), why=reason_of(error))) from error
     write_all(files)
-    tell(say("terminal-guide-written", page=str(folder / "index.html")))
+    write_line(say("terminal-guide-written", page=str(folder / "index.html")))

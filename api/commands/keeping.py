@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from api.commands.inputs import ConfigFile, StoreUrl, opened_store, store_address
-from api.outputs import WorkFailed, tell, working
+from api.outputs import WorkFailed, working, write_line
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -43,6 +43,6 @@ def backup(
         raise WorkFailed(spoken(error)) from error
     numbers = {"runs": contents.runs, "scans": contents.scans, "fits": contents.fits, "models": contents.models}
     held = say("terminal-backup-contents", **numbers)
-    tell(Message(f"terminal-backup-{done}", {"file": str(file), "contents": held}))
+    write_line(Message(f"terminal-backup-{done}", {"file": str(file), "contents": held}))
     if archive is not None and archive.runs:
-        tell(say("terminal-backup-archive", runs=archive.runs, folder=archive.folder))
+        write_line(say("terminal-backup-archive", runs=archive.runs, folder=archive.folder))

@@ -43,13 +43,15 @@ def licences(root: str = "kerntemp") -> list[Licence]:
 
 def licence_of(package: Distribution) -> str:
     """Return a package's licence in a few words, empty where it names none."""
-    told = package.metadata
-    for expression in told.get_all("License-Expression") or ():
+    metadata = package.metadata
+    for expression in metadata.get_all("License-Expression") or ():
         return str(expression)
-    classifiers = [c.rpartition(" :: ")[2] for c in told.get_all("Classifier") or () if c.startswith("License ::")]
+    classifiers = [
+        c.rpartition(" :: ")[2] for c in metadata.get_all("Classifier") or () if c.startswith("License ::")
+    ]
     if classifiers := [c for c in classifiers if c != "OSI Approved"]:
         return ", ".join(classifiers)
-    texts = [str(text).strip().split("\n")[0] for text in told.get_all("License") or ()]
+    texts = [str(text).strip().split("\n")[0] for text in metadata.get_all("License") or ()]
     return texts[0][:80] if texts else ""
 
 

@@ -12,7 +12,7 @@ from api.commands.calling import taking
 from api.commands.fitting import JsonOut
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
 from api.commands.until import Until, shortened
-from api.outputs import as_json, check_writable, tell, working, write_all
+from api.outputs import as_json, check_writable, working, write_all, write_line
 from daq.records import InputError
 from daq.words import say
 
@@ -51,14 +51,14 @@ def plan(asked: PlanOptions) -> None:
         ranges_of(described, loaded, ranges)
         found = diagnose(described, loaded, progress=lambda _what, share: done(round(100 * DIAGNOSING * share)))
         rest = 1.0 - DIAGNOSING
-        told = look_ahead(
+        plan = look_ahead(
             described, found, ranges, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
         )
-        write_all({} if asked.json is None else {asked.json: as_json(told.as_json())})
+        write_all({} if asked.json is None else {asked.json: as_json(plan.as_json())})
     from softsensor.planning.summary import plan_messages
 
-    for line in plan_messages(told):
-        tell(line)
+    for line in plan_messages(plan):
+        write_line(line)
 
 
 def parse_ranges(given: Iterable[str]) -> dict[str, tuple[float, float]]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from api.commands.calling import taking
-from api.outputs import WorkFailed, in_words, tell
+from api.outputs import WorkFailed, in_words, write_line
 from daq.records import InputError
 from daq.words import say, spoken
 
@@ -59,16 +59,16 @@ def probe(asked: ProbeOptions) -> None:
         wire["baud"] = asked.baud or probing.BAUD
     wait_s = asked.timeout or probing.TIMEOUT_S
     try:
-        report = probing.probe(wire, stations=_stations(asked.stations), timeout_s=wait_s, progress=_tell)
+        report = probing.probe(wire, stations=_stations(asked.stations), timeout_s=wait_s, progress=_show)
     except ReadFailure as error:
         raise WorkFailed(spoken(error)) from error
     for line in _lines(report):
-        tell(line)
+        write_line(line)
     if not report.proposals:
         raise WorkFailed(say("terminal-probe-nothing-known", place=report.place))
 
 
-def _tell(line: Message) -> None:
+def _show(line: Message) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(in_words(line) + "\n")
 
@@ -94,8 +94,8 @@ def _lines(report: ProbeReport) -> Iterable[str]:
         for reading in block.interpretations[:SHOWN_READINGS]:
             values = " ".join(f"{v:.5g}" for v in reading.values)
             percent = f"{100 * reading.plausible:.0f}"
-            told = say("terminal-probe-reading", meaning=reading.meaning, percent=percent, values=values)
-            yield f"    {in_words(told)}"
+            line = say("terminal-probe-reading", meaning=reading.meaning, percent=percent, values=values)
+            yield f"    {in_words(line)}"
     for attempt in report.attempts[:SHOWN_ATTEMPTS]:
         values = " ".join(f"{v:.1f}" for v in attempt.values[:8])
         tried = [attempt.profile, attempt.scaling, None if attempt.station is None else f"#{attempt.station}"]

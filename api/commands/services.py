@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from api.commands.inputs import CONFIG_NAME, ConfigFile, StoreUrl, config_path
-from api.outputs import WorkFailed, in_words, spoken_language, tell, tell_table, working
+from api.outputs import WorkFailed, in_words, spoken_language, working, write_line, write_table
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -81,7 +81,7 @@ def serve(
     with open_store(address, create=store is None, later=True) as opened:
         ways = ways_of(settings.email, settings.webhook, opened.label) if settings else []
         bound = listening.bind()
-        tell(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
+        write_line(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
         with watching(opened, ways) as stalled:
             resins = {press.name: press.resin for press in (settings.press if settings else ()) if press.resin}
             headers = {press.name: press.header for press in (settings.press if settings else ())}
@@ -104,7 +104,7 @@ def refit(
         with open_store(settings.store.url) as store:
             name = settings.press_named(roll_back).name
             version = nightly.roll_back(store, name, "kerntemp refit")
-            tell(say("terminal-model-in-force-again", press=name, version=version))
+            write_line(say("terminal-model-in-force-again", press=name, version=version))
         return
     unsound: dict[str, InputError] = {}
     settings = load_config(config_path(config), unsound)
@@ -161,7 +161,7 @@ def _rules(settings: Config) -> Rules | None:
 
 
 def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:
-    """Tell of a press's night and write its page; return what went wrong, in this and in its fits."""
+    """Show a press's night and write its page; return what went wrong, in this and in its fits."""
     from softsensor.jobs.night import reason_of
     from softsensor.jobs.night_judgement import FAILED
     from softsensor.jobs.night_record import night_record
@@ -171,14 +171,14 @@ def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Messa
     if outcome.verdict == FAILED:
         return [outcome.line]
     failed = []
-    tell(outcome.line)
+    write_line(outcome.line)
     if outcome.archive is not None:
-        tell(outcome.archive)
+        write_line(outcome.archive)
     try:
         page = write_report(
             night_record(store, outcome), settings.refit.reports, spoken_language(), _page_address(settings.server)
         )
-        tell(say("terminal-refit-report", press=outcome.press, page=str(page)))
+        write_line(say("terminal-refit-report", press=outcome.press, page=str(page)))
     except Exception as error:  # noqa: BLE001 - its work is in the store; the other presses wait for theirs
         why = reason_of(error)
         store.log("warning", PROCESS, why, outcome.press)
@@ -221,7 +221,7 @@ def token(
     tokens = TokenFile(settings.server.tokens or token_file_beside(path))
     if action == "list":
         heads = [say(f"terminal-list-{head}") for head in ("token", "scope", "created", "name")]
-        tell_table(heads, ((kept.id, kept.scope, str(kept.created_utc), kept.name) for kept in tokens.tokens()))
+        write_table(heads, ((kept.id, kept.scope, str(kept.created_utc), kept.name) for kept in tokens.tokens()))
         return
     if not name:
         raise InputError(say("terminal-token-needs-name", action=action))
@@ -233,13 +233,13 @@ def token(
         _note_in_journal(settings.store.url, say("token-created", name=name, scope=scope))
 
 
-def _note_in_journal(url: Address, said: Message) -> None:
+def _note_in_journal(url: Address, message: Message) -> None:
     """Write down who may come in; a store that is not there yet or away is no reason to refuse the change."""
     from daq.store.records import StoreUnavailable
     from daq.store.store import open_store
 
     try:
         with open_store(url, create=False, busy_s=2.0) as store:
-            store.log("info", "token", said)
+            store.log("info", "token", message)
     except (InputError, StoreUnavailable) as error:
-        sys.stderr.write(in_words(say("terminal-not-noted", said=said, why=spoken(error))) + "\n")
+        sys.stderr.write(in_words(say("terminal-not-noted", what=message, why=spoken(error))) + "\n")

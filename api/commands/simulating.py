@@ -144,8 +144,8 @@ def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, fl
     try:
         content = read_json(text_in(path))
     except OSError as error:
-        said = say("terminal-coefficients-unreadable", path=str(path), why=reason_of(error))
-        raise InputError(said) from error
+        problem = say("terminal-coefficients-unreadable", path=str(path), why=reason_of(error))
+        raise InputError(problem) from error
     except (UnicodeDecodeError, InputError) as error:
         raise InputError(say("terminal-coefficients-not-json", path=str(path), why=reason_of(error))) from error
     if not isinstance(content, dict):

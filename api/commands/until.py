@@ -2,7 +2,7 @@
 
 ``900`` is a moment of ``time_s``; ``bottom_1=140`` the first row in which a column (patterns allowed) reads as
 much; ``opened`` an event of the press. ``RUN:`` before any of them makes it that run's own, and goes before what
-is said for all. The option may be repeated; a run ends at the first that comes. Where a temperature or an event
+is stated for all. The option may be repeated; a run ends at the first that comes. Where a temperature or an event
 does not come, nothing is left out, and a warning says so.
 """
 

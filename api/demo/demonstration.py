@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from softsensor.heat.model_file import ModelFile
 
 QUICK_S = 5.0
-"""After so long a newcomer is told what is being waited for. [s]"""
+"""After so long a newcomer is shown what is being waited for. [s]"""
 COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
 FIT_S = 240.0
@@ -47,17 +47,17 @@ FIT_S = 240.0
 NIGHT_AFTER = 14
 """Pressings from one nightly job to the next while the demonstration goes on; in as many, causes were named."""
 VIEWS = ("now", "wall", "runs", "coefficients", "diagnosis", "nights")
-"""What a newcomer is told to look at."""
+"""What a newcomer is shown first."""
 PRESS = "lab"
 """The virtual press's name."""
 USUAL_CYCLE_S = 130.0
 """From one panel's removal to the next one's, on average over the ranges of `PressSettings`. [s]"""
 
 
-def run_demo(plan: DemoPlan, children: Children, tell: Callable[[Message | str], None], *, kept: bool) -> None:
+def run_demo(plan: DemoPlan, children: Children, show: Callable[[Message | str], None], *, kept: bool) -> None:
     """Run the demonstration to its end, once its loggers are started. Raises `WorkFailed` where a part breaks."""
     with ExitStack() as ending:
-        demo = _Demo(replace(plan, folder=children.folder), children, tell)
+        demo = _Demo(replace(plan, folder=children.folder), children, show)
         demo.start(ending)
         try:
             demo.watch()
@@ -66,26 +66,26 @@ def run_demo(plan: DemoPlan, children: Children, tell: Callable[[Message | str],
                 raise
         demo.finish()
         places = {"folder": str(children.folder), "config": str(demo.config)}
-        tell(say("demo-kept", **places) if kept else say("demo-not-kept"))
+        show(say("demo-kept", **places) if kept else say("demo-not-kept"))
 
 
 class _Demo:
-    def __init__(self, plan: DemoPlan, children: Children, tell: Callable[[Message | str], None]) -> None:
-        self.plan, self.children, self.tell = plan, children, tell
+    def __init__(self, plan: DemoPlan, children: Children, show: Callable[[Message | str], None]) -> None:
+        self.plan, self.children, self.show = plan, children, show
         self.started = time.monotonic()
         self.findings: list[PressingCheck] = []
         self._noted: set[str] = set()
         self._pressed: set[int] = set()
         """Which of the virtual press's pressings were found."""
-        self._told_press: Mapping[str, Any] = {}
-        """What the virtual press was told of the next panels."""
+        self._entered_panel: Mapping[str, Any] = {}
+        """What the virtual press has taken of the next panels."""
         self._ended: dict[str, tuple[float, int]] = {}
         self.config = plan.folder / "kerntemp.toml"
         self._night: subprocess.Popen[str] | None = None
         """The nightly job, while it runs."""
         self._judged = 0
         """How many pressings there were when it last began or ended."""
-        self._told_of_compiling = False
+        self._compiling_noted = False
 
     def start(self, ending: ExitStack) -> None:
         """Wait for page, recorder and sensor; then let the press begin."""
@@ -98,7 +98,7 @@ class _Demo:
         # an accelerated press would run away from a sensor that compiles
         self._wait_until(lambda: solved.is_set() and self._all_run(), ("loggers", *SERVICES))
         self.started = time.monotonic()
-        self.children.tell_loggers({"started_monotonic_s": self.started})
+        self.children.send_to_loggers({"started_monotonic_s": self.started})
         self._before = self._recorded()
         self.truth.cycle(0.0)  # before the operator writes down the first panel
 
@@ -110,19 +110,19 @@ class _Demo:
             for t in loggers["loggers"]
         )
         if plan.pressings is None:
-            self.tell(say("demo-begins-without-end", speed=plan.speed))
+            self.show(say("demo-begins-without-end", speed=plan.speed))
         else:
-            self.tell(say("demo-begins", speed=plan.speed, pressings=plan.pressings))
-        self.tell(say("demo-loggers", places=places))
-        self.tell(say("demo-store", path=str(plan.folder / "kerntemp.sqlite")))
-        self.tell(say("demo-page", address=self.address))
+            self.show(say("demo-begins", speed=plan.speed, pressings=plan.pressings))
+        self.show(say("demo-loggers", places=places))
+        self.show(say("demo-store", path=str(plan.folder / "kerntemp.sqlite")))
+        self.show(say("demo-page", address=self.address))
         for view in VIEWS:
             address = self._view(view).ljust(len(self._view(max(VIEWS, key=len))))
-            self.tell(say("demo-view", address=address, name=Message(f"page-nav-{view}")))
-        self.tell(say("demo-token", config=shlex.quote(str(self.config))))
+            self.show(say("demo-view", address=address, name=Message(f"page-nav-{view}")))
+        self.show(say("demo-token", config=shlex.quote(str(self.config))))
         if plan.pressings is None:
             minutes = max(round(NIGHT_AFTER * USUAL_CYCLE_S / plan.speed / 60.0), 1)
-            self.tell(say("demo-night-comes", pressings=NIGHT_AFTER, minutes=minutes))
+            self.show(say("demo-night-comes", pressings=NIGHT_AFTER, minutes=minutes))
 
     def _view(self, name: str) -> str:
         return f"{self.address}#/{name}"
@@ -130,16 +130,16 @@ class _Demo:
     def _loggers_answer(self) -> threading.Event:
         """Return what is set once the loggers' process has solved its first pressing.
 
-        From which pressing on panels are as somebody entered, it says afterwards; the truth is told as well.
+        From which pressing on panels are as somebody entered, it says afterwards; the truth takes it as well.
         """
         answering = threading.Event()
 
-        def heard(told: Mapping[str, Any]) -> None:
+        def take(line: Mapping[str, Any]) -> None:
             answering.set()
-            if "panel" in told:
-                self.truth.press_as_said(told["from"], told["panel"])
+            if "panel" in line:
+                self.truth.set_panels(line["from"], line["panel"])
 
-        self.children.hear_loggers(heard)
+        self.children.listen_to_loggers(take)
         return answering
 
     def _wait_until(self, ready: Callable[[], bool], processes: Sequence[str]) -> None:
@@ -150,14 +150,14 @@ class _Demo:
             waited = time.monotonic() - began
             if waited > COMPILE_S:
                 raise WorkFailed(say("demo-no-sign-of-life", processes=tuple(processes), seconds=COMPILE_S))
-            if waited > QUICK_S and not self._told_of_compiling:
-                self._told_of_compiling = True
-                self.tell(say("demo-compiling"))
+            if waited > QUICK_S and not self._compiling_noted:
+                self._compiling_noted = True
+                self.show(say("demo-compiling"))
             time.sleep(0.05)
 
     def _all_run(self) -> bool:
         """Whether recorder and sensor do their work."""
-        states = {name: told.status.get("state") for name, told in self.store.statuses().items()}
+        states = {name: process.status.get("state") for name, process in self.store.statuses().items()}
         return all(states.get(name) not in (None, "starting") for name in SERVICES)
 
     def watch(self) -> None:
@@ -175,7 +175,7 @@ class _Demo:
                     deadline = time.monotonic() + self.plan.patience_s
             if time.monotonic() > deadline:
                 if self.plan.pressings is not None and self.findings:
-                    return  # the press has done what was asked; what was not found of it is told
+                    return  # the press has done what was asked; what was not found of it is shown
                 raise WorkFailed(say("demo-no-pressing"))
             time.sleep(0.05)
 
@@ -188,7 +188,7 @@ class _Demo:
             self._begin_night()
 
     def _begin_night(self) -> None:
-        self.tell(say("demo-night"))
+        self.show(say("demo-night"))
         self._judged = len(self.findings)
         command = [*KERNTEMP, "refit", "--config", str(self.config)]
         self._night = self.children.start("refit", command, stdout=subprocess.DEVNULL)
@@ -204,8 +204,8 @@ class _Demo:
         if status != 0:
             raise WorkFailed(ended("refit", status, self.children.last_words("refit")))
         for line in diagnosis_lines((), self._diagnosis):
-            self.tell(line)
-        self.tell(say("demo-diagnosis-there", diagnosis=self._view("diagnosis"), night=self._view("nights")))
+            self.show(line)
+        self.show(say("demo-diagnosis-there", diagnosis=self._view("diagnosis"), night=self._view("nights")))
 
     @property
     def _diagnosis(self) -> Mapping[str, Any] | None:
@@ -218,11 +218,11 @@ class _Demo:
 
     def _pass_on(self) -> None:
         """Have the press lay in what somebody entered for the next panel, for as long as the store keeps it."""
-        said = self.store.next_panel(PRESS)
-        header = {} if said is None else said.header
-        if header != self._told_press:
-            self._told_press = header
-            self.children.tell_loggers({"panel": header})
+        stated = self.store.next_panel(PRESS)
+        header = {} if stated is None else stated.header
+        if header != self._entered_panel:
+            self._entered_panel = header
+            self.children.send_to_loggers({"panel": header})
 
     def _note(self, record: RunRecord) -> None:
         """Write down, as soon as a pressing runs, what is in the press: what somebody entered was laid in."""
@@ -252,7 +252,7 @@ class _Demo:
         finding = compare(self.store, record, cycle, self._virtual(record))
         self.findings.append(finding)
         self._pressed.add(cycle.number)
-        self.tell(finding.line)
+        self.show(finding.line)
 
     def _virtual(self, record: RunRecord) -> float:
         """Return the virtual time of a run's time 0. [s]"""
@@ -268,21 +268,21 @@ class _Demo:
         if self._diagnosis is None:
             self._end_night()
         for line in summary_lines(self.findings, self.plan.hide, self._diagnosis):
-            self.tell(line)
+            self.show(line)
         left_out, recorded = (now - then for now, then in zip(self._recorded(), self._before, strict=True))
         unseen = (self.plan.pressings or max(self._pressed, default=0)) - len(self._pressed)
         for line in pace_lines(self.findings, self.plan.speed, left_out, recorded, unseen):
-            self.tell(line)
+            self.show(line)
         if not self.plan.hide:
             return
         from softsensor.heat.model_reading import parse_model  # compiled code, of which the beginning needs none
 
         active = self.store.active_model(PRESS)
         if active is not None and active.model.get("effects"):
-            self.tell(gain_line(self.findings, list(self._replays(parse_model(active.model, active.version)))))
+            self.show(gain_line(self.findings, list(self._replays(parse_model(active.model, active.version)))))
         for left in self.store.models(press=PRESS).items:
             if left.status in (ModelStatus.REJECTED, ModelStatus.CANDIDATE):
-                self.tell(say("demo-not-promoted", version=left.version, why=left.reason))
+                self.show(say("demo-not-promoted", version=left.version, why=left.reason))
 
     def _recorded(self) -> tuple[int, int]:
         """Return how many scans were left out and how many are in the store."""

@@ -111,20 +111,20 @@ def main() -> int:
             wiring("labjack-t7", daq, "platens and top", TCP_CHANNELS),
             wiring("adam-4118-ascii", adam, "bottom", SERIAL_CHANNELS),
         ]
-        _tell({"loggers": tables})
+        _send({"loggers": tables})
         press.cycle(0.0)
-        _tell({"ready": True})
-        if told := sys.stdin.readline():
-            clock.started_s = float(json.loads(told)["started_monotonic_s"])
+        _send({"ready": True})
+        if line := sys.stdin.readline():
+            clock.started_s = float(json.loads(line)["started_monotonic_s"])
         for line in sys.stdin:
             header = json.loads(line)["panel"]
             first = press.coming(max(clock() + SOLVING_S * clock.speed, 0.0))
-            press.press_as_said(first, header)
-            _tell({"panel": header, "from": first})
+            press.set_panels(first, header)
+            _send({"panel": header, "from": first})
     return 0
 
 
-def _tell(message: dict[str, Any]) -> None:
+def _send(message: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 

@@ -33,7 +33,7 @@ LOGGERS_KEEP = 6
 SHORTEST_CYCLE_S = 90.0
 """From one panel's removal to the next one's, at least. [s]"""
 JUDGED = 10
-"""Newest pressings on which a promoted model is held against what was told live. Panels differ in what is hidden
+"""Newest pressings on which a promoted model is held against the live estimates. Panels differ in what is hidden
 in them by a quarter, so that four (2026-11) were too few to judge by; no fit and no diagnosis sees the core."""
 TARGET_C = 40.0
 """What the demonstration's recipe asks of the core. [°C]"""
@@ -54,7 +54,7 @@ class DemoPlan:
 
     @property
     def press(self) -> dict[str, Any]:
-        """Which virtual press it is, as `api.demo.press` is told."""
+        """Which virtual press it is, as `api.demo.press` is given it."""
         return {"hide": self.hide, "keep": LOGGERS_KEEP, "seed": self.seed}
 
     @property
@@ -104,7 +104,7 @@ class Children:
             raise WorkFailed(say("demo-did-not-start", process=name, why=self.last_words(name)))
         return line.strip()
 
-    def tell_loggers(self, message: dict[str, Any]) -> None:
+    def send_to_loggers(self, message: dict[str, Any]) -> None:
         """Send the loggers' process a line."""
         pipe = self.running["loggers"].stdin
         if pipe is None:
@@ -112,13 +112,13 @@ class Children:
         pipe.write(json.dumps(message) + "\n")
         pipe.flush()
 
-    def hear_loggers(self, heard: Callable[[Mapping[str, Any]], None]) -> None:
+    def listen_to_loggers(self, take: Callable[[Mapping[str, Any]], None]) -> None:
         """Hand on every line the loggers' process says from now on, in a thread of its own."""
         pipe = self.running["loggers"].stdout
 
         def listen() -> None:
             for line in pipe or ():
-                heard(json.loads(line))
+                take(json.loads(line))
 
         self._listeners.append(threading.Thread(target=listen, name="loggers' answers", daemon=True))
         self._listeners[-1].start()
@@ -199,7 +199,7 @@ def started(plan: DemoPlan, data: Path | None) -> Iterator[Children]:
         try:
             pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
             children.start("loggers", [sys.executable, "-m", "api.demo.press"], **pipes)
-            children.tell_loggers({**plan.press, "speed": plan.speed, "pressings": plan.pressings})
+            children.send_to_loggers({**plan.press, "speed": plan.speed, "pressings": plan.pressings})
             _write_configuration(plan, children)
             web = [*KERNTEMP, "serve", "--config", str(children.config), "--port", str(plan.port)]
             children.start("serve", web, stdout=subprocess.PIPE)

@@ -133,12 +133,12 @@ def replayed(
     hidden = set(press.sensors_of(run, "validation"))
     columns = {name: values.tolist() for name, values in run.columns.items() if name not in hidden}
     sensor = LiveSensor(press, record.header, model)
-    said = []
+    estimates = []
     for i, time_s in enumerate(run.time_s.tolist()):
         e = sensor.update(time_s, {name: values[i] for name, values in columns.items()})
         bounds = (e.core_C, e.core_sd_K, e.core_low_C, e.core_high_C)
-        said.append((time_s, StoredEstimate(i, time_s, e.state or "unknown", *bounds, e.valid)))
-    return _core(said, cycle, zero_virtual_s)[0]
+        estimates.append((time_s, StoredEstimate(i, time_s, e.state or "unknown", *bounds, e.valid)))
+    return _core(estimates, cycle, zero_virtual_s)[0]
 
 
 def gain_line(findings: Sequence[PressingCheck], after: Sequence[float]) -> Message:
@@ -219,8 +219,8 @@ def diagnosis_lines(hidden: Sequence[str], diagnosis: Mapping[str, Any] | None) 
 
 def stored_measurement(diagnosis: Mapping[str, Any]) -> Message | str:
     """Return what a stored diagnosis would measure next; one of an older version says it in English only."""
-    said = diagnosis.get("next_measurement_said")
-    return Message.from_json(said) if said else str(diagnosis["next_measurement"])
+    coded = diagnosis.get("next_measurement_said")
+    return Message.from_json(coded) if coded else str(diagnosis["next_measurement"])
 
 
 def _number(value: object) -> float:

@@ -142,8 +142,8 @@ def _shell() -> str:
     """Return the page before it has the words of one language: its ``{page-code}`` stand in every one."""
 
     def in_every(found: re.Match[str]) -> str:
-        said = ((one, words(say(found[1]), one)) for one in languages())
-        return " · ".join(f'<span lang="{one}">{html.escape(line)}</span>' for one, line in said)
+        lines = ((one, words(say(found[1]), one)) for one in languages())
+        return " · ".join(f'<span lang="{one}">{html.escape(line)}</span>' for one, line in lines)
 
     return re.sub(r"\{(page-[a-z-]+)\}", in_every, (PAGE / "index.html").read_text(encoding="utf-8"))
 

@@ -26,6 +26,6 @@ def take_port(host: str, port: int, unread_s: float = UNREAD_S) -> socket.socket
         taken.listen(2048)
     except OSError as error:
         taken.close()
-        said = say("api-address-taken", host=host, port=port, why=reason_of(error))
-        raise InputError(said) from error
+        problem = say("api-address-taken", host=host, port=port, why=reason_of(error))
+        raise InputError(problem) from error
     return taken

@@ -75,10 +75,10 @@ class Gate:
             except InputError as error:
                 refusal = 422, spoken(error), {}
         if refusal is not None:
-            status, said, extra = refusal
+            status, message, extra = refusal
             if status == HTTPStatus.TOO_MANY_REQUESTS:
                 await self._slow_down()
-            await problem_response(status, said, scope["path"], extra)(scope, receive, send)
+            await problem_response(status, message, scope["path"], extra)(scope, receive, send)
             return
         await self.app(scope, receive, send)
 

@@ -1,6 +1,6 @@
 """Live events: one follower of the store for all listeners, and what a listener missed.
 
-An `estimate` says what the live sensor said at its scan; whether it is of now is held against the clock when it is
+An `estimate` holds the live sensor's answer at its scan; whether it is of now is held against the clock when it is
 sent. Where the newest one has ceased to be so (recorder or live sensor are silent, the press has gone on without
 it), it comes once more, not valid, with the reason.
 """
@@ -24,9 +24,9 @@ from daq.store.store import Store
 POLL_S = 0.05
 """How often the store is asked for news; well below a scan period. [s]"""
 PING_S = 10.0
-"""A comment this often tells proxies and browsers that the stream lives. [s]"""
+"""A comment this often shows proxies and browsers that the stream lives. [s]"""
 LOOK_S = 0.5
-"""How often it is looked whether what was said is still so. [s]"""
+"""How often it is looked whether what was sent is still so. [s]"""
 QUEUE_EVENTS = 2000
 """A listener that lags this far behind is let go; it comes back with Last-Event-ID."""
 MAX_LISTENERS = 200
@@ -42,8 +42,8 @@ class Hub:
         self._max_listeners = max_listeners
         self._queues: set[asyncio.Queue[bytes | None]] = set()
         self._position: Position | None = None
-        self._told: dict[str, Standpoint] = {}
-        """What was said last of each press's newest estimate."""
+        self._sent: dict[str, Standpoint] = {}
+        """What was sent last of each press's newest estimate."""
         self._looked_s = -math.inf
         self._task: asyncio.Task[None] | None = None
         self._lock = asyncio.Lock()
@@ -92,33 +92,35 @@ class Hub:
             await asyncio.sleep(POLL_S)
 
     def _begin(self) -> Position:
-        self._told = {press: (told.number, told.valid) for press, (_, told) in now_of_all(self._store).items()}
+        self._sent = {
+            press: (estimate.number, estimate.valid) for press, (_, estimate) in now_of_all(self._store).items()
+        }
         return newest_position(self._store)
 
     def _missed(self, behind: Position, here: Position) -> list[bytes]:
         """Return what was stored in between and, where the last of it is no longer so, that."""
         events = list(news(self._store, behind, here))
-        for press, (present, told) in now_of_all(self._store).items():
-            if present.silent and told.number == here.estimates.get(press):
-                events.append(estimate_event(press, told, here))
+        for press, (present, estimate) in now_of_all(self._store).items():
+            if present.silent and estimate.number == here.estimates.get(press):
+                events.append(estimate_event(press, estimate, here))
         return events
 
     def _read(self) -> list[bytes]:
         if self._position is None:
             return []
-        events = list(news(self._store, self._position, told=self._told))
+        events = list(news(self._store, self._position, sent=self._sent))
         return events + self._changed(self._position)
 
     def _changed(self, position: Position) -> list[bytes]:
-        """Return the newest estimates that were told as valid and no longer are."""
+        """Return the newest estimates that were sent as valid and no longer are."""
         if time.monotonic() - self._looked_s < LOOK_S:
             return []
         self._looked_s = time.monotonic()
         events = []
-        for press, (_, told) in now_of_all(self._store).items():
-            if self._told.get(press) == (told.number, True) and not told.valid:
-                self._told[press] = (told.number, False)
-                events.append(estimate_event(press, told, position))
+        for press, (_, estimate) in now_of_all(self._store).items():
+            if self._sent.get(press) == (estimate.number, True) and not estimate.valid:
+                self._sent[press] = (estimate.number, False)
+                events.append(estimate_event(press, estimate, position))
         return events
 
     def _hand_out(self, events: list[bytes]) -> None:

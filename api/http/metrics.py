@@ -66,24 +66,24 @@ def _add_health(health: Health, refit_s: float | None, registry: CollectorRegist
     if (archive := health.store.archive) is not None:
         Gauge("kerntemp_archive_bytes", "Size of the archive", registry=registry).set(archive.bytes)
         Gauge("kerntemp_archive_unsound", "Files missing or damaged", registry=registry).set(archive.unsound)
-    told = [(duty_of(process.name), process.details) for process in health.processes]
-    _add_recorders([details for kind, details in told if kind == "record"], registry)
+    beats = [(duty_of(process.name), process.details) for process in health.processes]
+    _add_recorders([details for kind, details in beats if kind == "record"], registry)
     behind = Gauge("kerntemp_sense_behind_scans", "Scans without estimate yet", ["press"], registry=registry)
-    for press in (p for kind, details in told if kind == "sense" for p in details.get("presses", [])):
+    for press in (p for kind, details in beats if kind == "sense" for p in details.get("presses", [])):
         behind.labels(press["press"]).set(press.get("behind_scans", 0))
 
 
-def _add_recorders(told: Sequence[Mapping[str, Any]], registry: CollectorRegistry) -> None:
+def _add_recorders(recorders: Sequence[Mapping[str, Any]], registry: CollectorRegistry) -> None:
     """What the recorders' last signs of life say of loggers, late scans and what waits for the store."""
     waiting = Gauge("kerntemp_record_waiting", "Scans and entries that wait for the store", registry=registry)
-    waiting.set(sum(recorder.get("waiting", 0) for recorder in told))
+    waiting.set(sum(recorder.get("waiting", 0) for recorder in recorders))
     missed = Counter("kerntemp_missed_scans", "Scans due and not made", ["press"], registry=registry)
-    for press in (p for recorder in told for p in recorder.get("presses", [])):
+    for press in (p for recorder in recorders for p in recorder.get("presses", [])):
         missed.labels(press["press"]).inc(press.get("missed_ticks", 0))
     label = ["press", "logger"]
     up = Gauge("kerntemp_logger_up", "1 while the logger answers", label, registry=registry)
     replies = Counter("kerntemp_logger_replies", "Replies by outcome", [*label, "outcome"], registry=registry)
-    for logger in (x for recorder in told for x in recorder.get("loggers", [])):
+    for logger in (x for recorder in recorders for x in recorder.get("loggers", [])):
         up.labels(logger["press"], logger["name"]).set(logger.get("state") != "lost")
         for outcome, count in logger.get("counters", {}).items():
             replies.labels(logger["press"], logger["name"], outcome).inc(count)
@@ -108,28 +108,28 @@ def _add_nights(nights: Mapping[str, StoredNight], now: datetime, registry: Coll
         registry=registry,
     )
     for name, night in nights.items():
-        told = night.night
-        failed.labels(name).set(told["verdict"] == "failed")
-        for why, count in Counted(_code(one["why"]) for one in told["left_out"]).items():
+        content = night.night
+        failed.labels(name).set(content["verdict"] == "failed")
+        for why, count in Counted(_code(one["why"]) for one in content["left_out"]).items():
             out.labels(name, why).set(count)
         age.labels(name).set(max((now - night.ended_utc).total_seconds(), 0.0))
-        took.labels(name).set(told["seconds"])
-        if told["memory_bytes"] is not None:
-            memory.labels(name).set(told["memory_bytes"])
+        took.labels(name).set(content["seconds"])
+        if content["memory_bytes"] is not None:
+            memory.labels(name).set(content["memory_bytes"])
         for what in ("runs", "new", "fitted", "not_fitted", "blind", "later"):
-            runs.labels(name, "stored" if what == "runs" else what).set(told[what])
+            runs.labels(name, "stored" if what == "runs" else what).set(content[what])
         for what in ("archived", "pressings_only", "archive_later"):
-            runs.labels(name, what).set(told.get(what, 0))  # nights of older versions had no archive
-        for effect in told["named"]:
+            runs.labels(name, what).set(content.get(what, 0))  # nights of older versions had no archive
+        for effect in content["named"]:
             named.labels(name, effect).set(1)
         for what in ("promoted", "refused"):
-            judged.labels(name, what).set(bool(told[what]))
+            judged.labels(name, what).set(bool(content[what]))
 
 
-def _code(said: Mapping[str, Any]) -> str:
-    """Return the code of the innermost reason of what is said of a run."""
-    inner = said["arguments"].get("why")
-    return _code(inner) if isinstance(inner, dict) else str(said["code"])
+def _code(reason: Mapping[str, Any]) -> str:
+    """Return the code of the innermost reason of why a run was left out."""
+    inner = reason["arguments"].get("why")
+    return _code(inner) if isinstance(inner, dict) else str(reason["code"])
 
 
 def _add_presses(

@@ -1,6 +1,6 @@
 """What the store holds beyond a position, as encoded events of the live stream.
 
-The id of each event tells how far the listener has come in every list of the store. It survives a
+The id of each event shows how far the listener has come in every list of the store. It survives a
 restart of the server: whoever comes back with Last-Event-ID gets what was stored in between.
 """
 
@@ -28,7 +28,7 @@ CATCH_UP_SCANS = 2000
 CATCH_UP_FITS = 20
 """A listener that missed more gets the fits of the newest this many fitted runs; the rest is in `coefficients`."""
 Standpoint = tuple[int | None, bool]
-"""An estimate by its number, and whether it was valid when it was told."""
+"""An estimate by its number, and whether it was valid when it was sent."""
 RUNS = 3
 """So many runs of each press are looked through for the one a scan belongs to."""
 
@@ -93,14 +93,14 @@ def newest_position(store: Store) -> Position:
 
 
 def news(
-    store: Store, position: Position, until: Position | None = None, told: dict[str, Standpoint] | None = None
+    store: Store, position: Position, until: Position | None = None, sent: dict[str, Standpoint] | None = None
 ) -> Iterator[bytes]:
     """Yield what the store holds beyond `position` as encoded events, moving `position` along.
 
-    With `until`, stop where another listener already is. `told` takes what was said of each newest estimate.
+    With `until`, stop where another listener already is. `sent` takes what is sent of each newest estimate.
     """
     for press in store.presses():
-        yield from _scans(store, press, position, until, {} if told is None else told)
+        yield from _scans(store, press, position, until, {} if sent is None else sent)
     events = list(_press_events(store, position.press_event))
     runs = _newest_runs(store)  # after what may have begun one
     for event in events:
@@ -147,7 +147,7 @@ def _run_state(runs: tuple[RunRecord, ...]) -> str:
 
 
 def _scans(
-    store: Store, press: str, position: Position, until: Position | None, said: dict[str, Standpoint]
+    store: Store, press: str, position: Position, until: Position | None, sent: dict[str, Standpoint]
 ) -> Iterator[bytes]:
     newest = store.newest_scan_number(press)
     last_scan = until.scans.get(press, newest) if until else math.inf
@@ -174,15 +174,15 @@ def _scans(
         own = utc.get(estimate.number)
         if estimate is estimates[-1] and is_of_now(age_of(own, now)):
             estimate = _standing(store, press, runs, estimate, own, now)
-        told = estimate_now(estimate, run_of_scan(runs, estimate.number), own, now)
-        said[press] = (told.number, told.valid)
-        yield estimate_event(press, told, position)
+        answer = estimate_now(estimate, run_of_scan(runs, estimate.number), own, now)
+        sent[press] = (answer.number, answer.valid)
+        yield estimate_event(press, answer, position)
     position.estimates.setdefault(press, behind)
 
 
-def estimate_event(press: str, told: EstimateNow, position: Position) -> bytes:
+def estimate_event(press: str, estimate: EstimateNow, position: Position) -> bytes:
     """Return an estimate for the stream."""
-    return encode_event("estimate", {"press": press, **told.model_dump(mode="json")}, position)
+    return encode_event("estimate", {"press": press, **estimate.model_dump(mode="json")}, position)
 
 
 def now_of_all(store: Store) -> dict[str, tuple[Present, EstimateNow]]:
@@ -191,8 +191,8 @@ def now_of_all(store: Store) -> dict[str, tuple[Present, EstimateNow]]:
     for press in store.presses():
         present = present_of(store, press, now)
         shown = present.run or next(iter(store.runs(press=press, limit=1).items), None)
-        if (told := estimate_of(present, shown, now)) is not None:
-            found[press] = (present, told)
+        if (estimate := estimate_of(present, shown, now)) is not None:
+            found[press] = (present, estimate)
     return found
 
 

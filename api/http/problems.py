@@ -14,7 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
 from api.answers.schemas import Problem
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from api.http.http_compatibility import ENDLESS
 from daq.records import InputError
 from daq.store.records import ScansUnreadable, StoreUnavailable
@@ -30,17 +30,19 @@ LOG = logging.getLogger("kerntemp.serve")
 class ProblemError(HTTPException):
     """An error with a status and a message about what to do."""
 
-    def __init__(self, status: int, said: Message, headers: Mapping[str, str] | None = None) -> None:
-        super().__init__(status_code=status, detail=str(said), headers=dict(headers or {}))
-        self.said = said
+    def __init__(self, status: int, message: Message, headers: Mapping[str, str] | None = None) -> None:
+        super().__init__(status_code=status, detail=str(message), headers=dict(headers or {}))
+        self.message = message
 
 
 def problem_response(
-    status: int, said: Message, instance: str = "", headers: Mapping[str, str] | None = None
+    status: int, message: Message, instance: str = "", headers: Mapping[str, str] | None = None
 ) -> JSONResponse:
     """Return the answer for an error."""
     title = HTTPStatus(status).phrase
-    problem = Problem(title=title, status=status, detail=str(said), detail_said=said_of(said), instance=instance)
+    problem = Problem(
+        title=title, status=status, detail=str(message), detail_said=message_answer(message), instance=instance
+    )
     content = problem.model_dump()
     return JSONResponse(content, status, dict(headers or {}), MEDIA_TYPE)
 
@@ -70,11 +72,11 @@ def install(app: FastAPI) -> None:
 def _http(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, HTTPException):
         raise error
-    said = error.said if isinstance(error, ProblemError) else spoken(error.detail)
+    message = error.message if isinstance(error, ProblemError) else spoken(error.detail)
     headers = dict(error.headers or {})
     if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
         headers["Allow"] = ", ".join(methods_of(request))
-    return problem_response(error.status_code, said, request.url.path, headers)
+    return problem_response(error.status_code, message, request.url.path, headers)
 
 
 def methods_of(request: Request) -> list[str]:

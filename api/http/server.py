@@ -74,7 +74,7 @@ class Listening:
                 raise InputError(say("api-certificate-unusable", why=str(error), **given)) from error
 
     def bind(self) -> socket.socket:
-        """Take the port now, so that a taken one is told in one line. Raises `InputError`."""
+        """Take the port now, so that a taken one is reported in one line. Raises `InputError`."""
         return take_port(self.host, self.port, self.unread_s)
 
 
@@ -131,7 +131,7 @@ class _Server(uvicorn.Server):
             self._notifier.alive(f"{len(self.server_state.connections)} connections")
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Tell the service manager once connections are taken."""
+        """Inform the service manager once connections are taken."""
         await super().startup(sockets)
         self._notifier.ready("serving")
 
@@ -148,18 +148,18 @@ class SparingLog(logging.Filter):
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._now = now
-        self._told: dict[tuple[str, int], float] = {}
+        self._logged_s: dict[tuple[str, int], float] = {}
         self._left_out: Counter[tuple[str, int]] = Counter()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to tell; faults of our own are told each time."""
+        """Whether to log it; faults of our own are logged each time."""
         if record.levelno != logging.WARNING:
             return True
         kind = record.name, record.lineno
-        if self._now() - self._told.get(kind, -math.inf) < ATTEMPT_WINDOW_S:
+        if self._now() - self._logged_s.get(kind, -math.inf) < ATTEMPT_WINDOW_S:
             self._left_out[kind] += 1
             return False
-        self._told[kind] = self._now()
+        self._logged_s[kind] = self._now()
         if left_out := self._left_out.pop(kind, 0):
             record.msg, record.args = f"{record.getMessage()} (+{left_out})", ()
         return True

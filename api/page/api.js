@@ -1,14 +1,14 @@
 // The API as the page sees it: JSON by fetch, events by EventSource. Paths are relative, so a proxy may add a prefix.
-import { said, text as word } from "./words.js";
+import { inWords, text as word } from "./words.js";
 
 const ROOT = "api/v1";
 const SILENT_MS = 25000; // the server says something every 10 s; a stream silent for longer has died unnoticed
 
 class Refused extends Error {
   constructor(problem, status) {
-    super(said(problem.detail_said, problem.detail || problem.title) || `HTTP ${status}`);
+    super(inWords(problem.detail_said, problem.detail || problem.title) || `HTTP ${status}`);
     this.status = status;
-    this.said = problem.detail_said;
+    this.coded = problem.detail_said;
   }
 }
 

@@ -14,7 +14,7 @@ import * as now from "./views/now.js";
 import * as presses from "./views/presses.js";
 import * as runs from "./views/runs.js";
 import * as wall from "./views/wall.js";
-import { chooseLanguage, language, languages, loadWords, nameOf, said, text } from "./words.js";
+import { chooseLanguage, inWords, language, languages, loadWords, nameOf, text } from "./words.js";
 
 const VIEWS = { presses, now, runs, coefficients, diagnosis, nights, alarms, journal, loggers, access, wall };
 const main = document.getElementById("view");
@@ -137,7 +137,7 @@ async function refreshHealth() {
   try {
     const health = await get("/health");
     document.getElementById("version").textContent = `Kerntemp ${health.version}`;
-    const lines = health.alarms.map((alarm, i) => said(health.alarms_said[i], alarm));
+    const lines = health.alarms.map((alarm, i) => inWords(health.alarms_said[i], alarm));
     const alarms = document.getElementById("alarms");
     if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, `⚠ ${line}`)));
     await askAgain();

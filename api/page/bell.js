@@ -1,9 +1,9 @@
 // Tells of new alarms where people are: a sound and the browser's own notification, each switched on by hand.
 import { get } from "./api.js";
-import { said, text } from "./words.js";
+import { inWords, text } from "./words.js";
 
 const KEPT = { sound: "kerntemp-alarm-sound", notification: "kerntemp-alarm-notification" };
-const NEWEST = "kerntemp-alarm-newest"; // up to which alarm this browser has told; over a reload nothing is told twice
+const NEWEST = "kerntemp-alarm-newest"; // up to which alarm this browser has announced; over a reload nothing is announced twice
 let audio = null;
 
 export const wanted = (what) => localStorage.getItem(KEPT[what]) === "on";
@@ -39,6 +39,6 @@ export async function listen() {
   if (!fresh.length) return;
   if (wanted("sound")) ring();
   if (wanted("notification") && Notification.permission === "granted") {
-    for (const one of fresh) new Notification(text("page-alarm-new"), { body: said(one.message_said, one.message), tag: `kerntemp-alarm-${one.id}` });
+    for (const one of fresh) new Notification(text("page-alarm-new"), { body: inWords(one.message_said, one.message), tag: `kerntemp-alarm-${one.id}` });
   }
 }

@@ -15,7 +15,7 @@ export function closeAll() {
 }
 
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
-// why(name, x): the cause, in words, of a value that is not there; null where there is none to tell.
+// why(name, x): the cause, in words, of a value that is not there; null where none is known.
 export class TimeChart {
   constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true, xSays = null, bridge = BRIDGE_S, release = text("page-follow"), letters = 12 }) {
     Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why, xSays, bridge, larger: letters / 12 });
@@ -229,8 +229,8 @@ export class TimeChart {
   point(plot) {
     const { left, idx } = plot.cursor;
     if (idx === null || idx === undefined || left < 0) { this.tip.hidden = true; return; }
-    const said = (s, value) => (value ?? null) === null ? this.why?.(s.name, this.data[0][idx]) : `${number(value, s.digits ?? 1)} ${s.unit ?? "°C"}`;
-    const rows = this.series.map((s, i) => ({ s, value: s.group ? this.grouped(s, i, idx) : said(s, this.data[i + 1][idx]) }))
+    const shown = (s, value) => (value ?? null) === null ? this.why?.(s.name, this.data[0][idx]) : `${number(value, s.digits ?? 1)} ${s.unit ?? "°C"}`;
+    const rows = this.series.map((s, i) => ({ s, value: s.group ? this.grouped(s, i, idx) : shown(s, this.data[i + 1][idx]) }))
       .filter(({ s, value }) => s.tip !== false && value && !s.kind.startsWith("band"));
     for (const row of rows) {
       const i = this.series.indexOf(row.s);
@@ -249,7 +249,7 @@ export class TimeChart {
     this.tip.style.top = "14px";
   }
 
-  // Of the curves of one group the first tells the middle of all, so that the values do not cover the chart.
+  // Of the curves of one group the first shows the middle of all, so that the values do not cover the chart.
   grouped(s, i, idx) {
     if (this.series.findIndex((one) => one.group === s.group) !== i) return null;
     const values = this.series.map((one, k) => (one.group === s.group ? this.data[k + 1][idx] : null)).filter((v) => (v ?? null) !== null).sort((a, b) => a - b);
@@ -297,7 +297,7 @@ const longGaps = (bridge) => (plot, index, from, to, gaps) => gaps.filter(([star
 
 const everyGap = (plot, index, from, to, gaps) => gaps;
 
-// As many digits as tell the ticks' true values: 37.5 must not read 38.
+// As many digits as show the ticks' true values: 37.5 must not read 38.
 function decimals(splits) {
   const exact = [0, 1, 2, 3, 4, 5].find((digits) => splits.every((v) => Math.abs(v - Number(v.toFixed(digits))) < 1e-9 * Math.max(1, Math.abs(v))));
   return exact ?? 6;

@@ -10,9 +10,9 @@ const SHOWN_ROWS = 200; // a table of more is not read; the file has every row
 export function drawer(chart) {
   const place = el("div", {});
   const fill = () => place.replaceChildren(box.open ? inside(chart) : "");
-  const box = el("details", { class: "keep", ontoggle: fill, onchange: () => tell() }, el("summary", {}, text("page-chart-data")), place);
+  const box = el("details", { class: "keep", ontoggle: fill, onchange: () => report() }, el("summary", {}, text("page-chart-data")), place);
   // The chart went on since: the table stays as it is being read, says of when it is and offers the newer one.
-  function tell() {
+  function report() {
     const row = box.open && place.querySelector(".row");
     if (!row || row.querySelector(".newer")) return;
     row.append(el("span", { class: "small newer" }, text("page-chart-as-of", { time: clock(row.dataset.made, false) })),

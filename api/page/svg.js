@@ -26,8 +26,8 @@ function axes(plot, x, y, { left, top, width, height }) {
   const grid = `stroke="${style("--line")}"`;
   const bottom = top + height;
   const ticks = (axis, drawn) => (axis._splits ?? []).map((value, i) => drawn(value, axis._values?.[i] ?? "")).join("");
-  return ticks(across, (v, said) => `<path d="M${x(v)} ${top}V${bottom}" ${grid}/><text x="${x(v)}" y="${bottom + 18}" text-anchor="middle" ${letters}>${safe(said)}</text>`)
-    + ticks(up, (v, said) => `<path d="M${left} ${y(v)}H${left + width}" ${grid}/><text x="${left - 8}" y="${y(v) + 4}" text-anchor="end" ${letters}>${safe(said)}</text>`)
+  return ticks(across, (v, label) => `<path d="M${x(v)} ${top}V${bottom}" ${grid}/><text x="${x(v)}" y="${bottom + 18}" text-anchor="middle" ${letters}>${safe(label)}</text>`)
+    + ticks(up, (v, label) => `<path d="M${left} ${y(v)}H${left + width}" ${grid}/><text x="${left - 8}" y="${y(v) + 4}" text-anchor="end" ${letters}>${safe(label)}</text>`)
     + `<text x="${left + width / 2}" y="${plot.height - 4}" text-anchor="middle" ${letters}>${safe(across.label)}</text>`
     + `<text transform="translate(14 ${top + height / 2}) rotate(-90)" text-anchor="middle" ${letters}>${safe(up.label)}</text>`;
 }

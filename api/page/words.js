@@ -20,10 +20,10 @@ export async function loadWords(chosen = localStorage.getItem(KEPT) ?? navigator
   const answer = await fetch(`api/v1/messages/${encodeURIComponent(chosen)}`).catch(() => null);
   if (answer?.status === 404 && chosen !== "en") return loadWords("en");
   if (!answer?.ok) return false;
-  const told = await answer.json();
-  const bundle = new FluentBundle(variantOf(told.language), { useIsolating: false, functions: { NUMBER: numberOrWords, SPAN: span } });
-  bundle.addResource(new FluentResource(Object.entries(told.messages).map(([code, pattern]) => `${code} = ${pattern}`).join("\n")));
-  catalogue = { ...told, bundle };
+  const loaded = await answer.json();
+  const bundle = new FluentBundle(variantOf(loaded.language), { useIsolating: false, functions: { NUMBER: numberOrWords, SPAN: span } });
+  bundle.addResource(new FluentResource(Object.entries(loaded.messages).map(([code, pattern]) => `${code} = ${pattern}`).join("\n")));
+  catalogue = { ...loaded, bundle };
   return true;
 }
 
@@ -69,10 +69,10 @@ export function text(code, values = {}) {
 }
 
 // A message of the server in the reader's language; the server's own English where it came without one.
-export const said = (message, english = "") => (message && has(message.code) ? text(message.code, message.arguments) : english ?? "");
+export const inWords = (message, english = "") => (message && has(message.code) ? text(message.code, message.arguments) : english ?? "");
 
 function argument(value) {
-  if (Array.isArray(value)) return value.map((one) => (one?.code ? said(one, one.code) : String(one))).join(", ");
+  if (Array.isArray(value)) return value.map((one) => (one?.code ? inWords(one, one.code) : String(one))).join(", ");
   if (value?.code) return text(value.code, value.arguments);
   return typeof value === "number" ? new FluentNumber(value, { useGrouping: false }) : String(value);
 }
@@ -90,16 +90,16 @@ export function numberName(key) {
 }
 
 // A message about header keys, for whom they are fields of a form: it names each as `names` or a run's numbers do.
-export function saidOfFields(message, english, names) {
+export function inFieldWords(message, english, names) {
   const code = AS_FIELD[message?.code] ?? message?.code;
-  return said(message && { code, arguments: Object.fromEntries(Object.entries(message.arguments).map(([name, value]) => [name, asField(value, names)])) }, english);
+  return inWords(message && { code, arguments: Object.fromEntries(Object.entries(message.arguments).map(([name, value]) => [name, asField(value, names)])) }, english);
 }
 
 const AS_FIELD = { "header-number-outside": "page-field-outside", "api-header-not-a-number": "page-field-no-number" };
 
 function asField(value, names) {
   if (Array.isArray(value)) return value.map((one) => asField(one, names));
-  if (value?.code) return saidOfFields(value, value.code, names);
+  if (value?.code) return inFieldWords(value, value.code, names);
   return typeof value === "string" ? names[value] ?? numberName(value).replace(/ \[.*\]$/, "") : value;
 }
 

@@ -1,4 +1,4 @@
-"""What clients of the OPC UA server do wrong, told sparingly: the library logs every fault with a traceback."""
+"""What clients of the OPC UA server do wrong, logged sparingly: the library logs every fault with a traceback."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ MOST_LETTERS = 200
 
 
 class ClientLog(logging.Handler):
-    """Takes the library's warnings and tells one a minute for each address and kind, in one line."""
+    """Takes the library's warnings and passes one a minute on for each address and kind, in one line."""
 
     def __init__(self, log: logging.Logger, now: Callable[[], float] = time.monotonic) -> None:
         super().__init__(logging.WARNING)
         self._log, self._now = log, now
-        self._told: dict[tuple[object, ...], float] = {}
+        self._logged_s: dict[tuple[object, ...], float] = {}
         self._left_out: dict[tuple[object, ...], int] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Tell a record or count it."""
+        """Pass a record on, or count it."""
         error = record.exc_info[1] if record.exc_info else None
         address = _address_of_client()
         kind = (address, record.name, record.lineno, type(error))
         now = self._now()
-        if now - self._told.get(kind, -QUIET_S) < QUIET_S:
+        if now - self._logged_s.get(kind, -QUIET_S) < QUIET_S:
             self._left_out[kind] = self._left_out.get(kind, 0) + 1
             return
-        if len(self._told) >= MOST_KEPT and kind not in self._told:
-            oldest = min(self._told, key=self._told.__getitem__)
-            del self._told[oldest]
+        if len(self._logged_s) >= MOST_KEPT and kind not in self._logged_s:
+            oldest = min(self._logged_s, key=self._logged_s.__getitem__)
+            del self._logged_s[oldest]
             self._left_out.pop(oldest, None)
-        self._told[kind] = now
+        self._logged_s[kind] = now
         why = record.getMessage() + (f" ({type(error).__name__}: {error})" if error is not None else "")
         readable = "".join(letter if letter.isprintable() else " " for letter in why)[:MOST_LETTERS]
         left_out = self._left_out.pop(kind, 0)
-        said = say("plant-server-fault", why=readable, left_out=left_out)
+        message = say("plant-server-fault", why=readable, left_out=left_out)
         if address:
-            said = say("plant-client-fault", address=address, why=readable, left_out=left_out)
-        self._log.warning("%s", said)
+            message = say("plant-client-fault", address=address, why=readable, left_out=left_out)
+        self._log.warning("%s", message)
 
 
 @contextmanager

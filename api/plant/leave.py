@@ -1,12 +1,12 @@
 """Leave to open over MQTT, ready for a relay: ``prefix/PRESS/open_now``.
 
-Each press has a connection of its own, for a connection has one last will. What a relay hears, and when:
+Each press has a connection of its own, for a connection has one last will. What a relay receives, and when:
 
 - ``{"open_now": true, "valid_until_utc": …}`` at each change and once a second, never retained, quality of service
   0: no broker hands it to anybody later than now.
 - ``{"open_now": false, "known": …, "reason": …}`` likewise, where a limit does not hold or something is not known:
   the live sensor or the recorder is silent, the press's state is unknown, the store does not answer.
-- The last will, retained, is false: the broker tells it at once when this process dies, some 10 s after it hangs
+- The last will, retained, is false: the broker sends it at once when this process dies, some 10 s after it hangs
   or is out of reach (1.5 times `KEEPALIVE_S`; Mosquitto looks every 5 s), and to whoever subscribes before the
   next message. Nothing but false is ever retained here.
 
@@ -35,40 +35,40 @@ from softsensor.live.validity import Invalid, InvalidReason
 
 TOPIC = "open_now"
 KEEPALIVE_S = 3
-"""The broker tells the last will after one and a half times this. [s]"""
+"""The broker sends the last will after one and a half times this. [s]"""
 LOOK_S = 0.1
 """How often the store is asked. [s]"""
 SAY_S = 1.0
-"""How often it is said again. [s]"""
+"""How often it is sent again. [s]"""
 LONGEST_PAUSE_S = 5.0
 """Between two tries to reach the broker. [s]"""
 
 
 def leave_body(press: str, present: Present | None, now: datetime) -> dict[str, Any]:
-    """Return whether a press may open now, and what that rests on; None: the store does not tell."""
+    """Return whether a press may open now, and what that rests on; None: the store does not answer."""
     if present is None:
         return _nothing(press, Invalid(InvalidReason.STORE_AWAY))
-    said, utc = present.estimate, present.estimate_utc
-    if said is None or utc is None:
+    estimate, utc = present.estimate, present.estimate_utc
+    if estimate is None or utc is None:
         return _nothing(press, present.late or Invalid(InvalidReason.NO_ESTIMATE_YET))
     given = present.open_now and is_of_now(age_of(utc, now))
-    until = utc + timedelta(seconds=SILENT_S) if said.valid else None
+    until = utc + timedelta(seconds=SILENT_S) if estimate.valid else None
     return {
         "press": press,
         "open_now": given,
         "known": present.known and given == present.open_now,
         "state": present.state,
-        "reason": said.reason,
-        "reason_arguments": (said.detail or {}).get("reason_arguments", {}),
+        "reason": estimate.reason,
+        "reason_arguments": (estimate.detail or {}).get("reason_arguments", {}),
         "utc": utc.isoformat(),
         "valid_until_utc": None if until is None else until.isoformat(),
     }
 
 
 def _nothing(press: str, why: Invalid) -> dict[str, Any]:
-    """Return what is said where nothing is known."""
-    told = {"state": "unknown", "reason": why.reason.value, "reason_arguments": why.stored}
-    return {"press": press, "open_now": False, "known": False, **told, "utc": None, "valid_until_utc": None}
+    """Return the body where nothing is known."""
+    state = {"state": "unknown", "reason": why.reason.value, "reason_arguments": why.stored}
+    return {"press": press, "open_now": False, "known": False, **state, "utc": None, "valid_until_utc": None}
 
 
 class LeaveFeed:
@@ -151,13 +151,13 @@ class LeaveFeed:
         topic, steps = broker.topic(press, TOPIC), self._steps[press]
         with steps.step():
             broker.send([(topic, json_bytes(nobody))])
-        told, told_s = nobody, time.monotonic()
+        sent, sent_s = nobody, time.monotonic()
         while not ending.wait(LOOK_S):
             read = time.monotonic() - self._read_s < SILENT_S
             body = leave_body(press, self._present.get(press) if read else None, utc_now())
-            changed = any(body[key] != told[key] for key in ("open_now", "known", "state", "reason"))
-            if changed or time.monotonic() - told_s >= SAY_S:
+            changed = any(body[key] != sent[key] for key in ("open_now", "known", "state", "reason"))
+            if changed or time.monotonic() - sent_s >= SAY_S:
                 with steps.step():
                     broker.send([(topic, json_bytes(body))], qos=0, retain=False)
-                told, told_s = body, time.monotonic()
+                sent, sent_s = body, time.monotonic()
         broker.send([(topic, json_bytes(nobody))])

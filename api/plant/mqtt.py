@@ -17,7 +17,7 @@ After an interruption everything stored meanwhile follows, in order. Where to go
 itself: its retained message carries the number that really arrived, so nothing is sent twice even if the
 answer to it was lost (2026-11-21; a number kept here alone would repeat what was in flight). A broker that
 forgot is continued from the position kept in the store. A broker that drops after it has stored a message and
-before it retains it could still see one twice: `number` tells. What the live sensor fills in afterwards, for
+before it retains it could still see one twice: `number` shows it. What the live sensor fills in afterwards, for
 the seconds of an idle press before an insertion it had not seen yet, is in the store alone.
 """
 
@@ -48,7 +48,7 @@ from daq.words import Message, say, spoken
 QOS = 1
 """At least once: the broker acknowledges, and what is repeated does no harm, for a value replaces a value."""
 KEEPALIVE_S = 15
-"""The broker tells the last will after one and a half times this. [s]"""
+"""The broker sends the last will after one and a half times this. [s]"""
 ANSWER_S = 10.0
 """Longest wait for the broker's answer. [s]"""
 POLL_S = 0.1
@@ -64,7 +64,7 @@ class BrokerAway(ConnectionError):
 
 @dataclass(frozen=True)
 class Will:
-    """What the broker tells where a connection ends without goodbye."""
+    """What the broker sends where a connection ends without goodbye."""
 
     topic: tuple[str, ...]
     body: Mapping[str, Any]
@@ -139,7 +139,7 @@ class Broker:
         self._client.loop_stop()
 
     def abandon(self) -> None:
-        """Let the connection go without goodbye, so that the broker tells the last will."""
+        """Let the connection go without goodbye, so that the broker sends the last will."""
         line = self._client.socket()
         if isinstance(line, socket.socket):
             with suppress(OSError):
@@ -284,5 +284,5 @@ def _password(settings: MqttSettings) -> str:
     try:
         return text_in(settings.password_file).split("\n")[0]
     except (OSError, UnicodeDecodeError) as error:
-        said = say("plant-password-unreadable", path=str(settings.password_file), why=reason_of(error))
-        raise InputError(said) from error
+        problem = say("plant-password-unreadable", path=str(settings.password_file), why=reason_of(error))
+        raise InputError(problem) from error

@@ -16,7 +16,7 @@ BadSensorFailure                         thermocouple open
 BadOutOfRange                            above or below what the logger can measure
 BadNoCommunication                       the logger does not answer, or no scan for 5 s
 BadNoData                                no estimate: no panel, the press's state is unknown, or the live
-                                         sensor has said nothing for 5 s
+                                         sensor has been silent for 5 s
 BadWaitingForInitialData                 nothing yet
 =======================================  ===================================================
 
@@ -95,7 +95,7 @@ class _Readers:
         try:
             token = self._tokens.find(given) if given else None
         except InputError as error:
-            logging.getLogger(LIBRARY).warning("%s", error)  # among what clients meet: told sparingly
+            logging.getLogger(LIBRARY).warning("%s", error)  # among what clients meet: logged sparingly
             return None
         return User(UserRole.User, username) if token is not None and token.allows("read") else None
 
@@ -111,9 +111,9 @@ class _Press:
     last_event: int = 0
 
 
-Told = tuple[Present, Sequence[StoredPressEvent]]
+PressNews = tuple[Present, Sequence[StoredPressEvent]]
 """A press now, and its events that have not been shown yet."""
-NOTHING: Told = (Present(None, (), None, (), None, "unknown", None, None), ())
+NOTHING: PressNews = (Present(None, (), None, (), None, "unknown", None, None), ())
 """What is known of a press while the store does not answer."""
 
 
@@ -161,8 +161,8 @@ class PressServer:
             await server.start()
         except OSError as error:
             host, port = self._settings.host, self._settings.port
-            said = say("plant-address-taken", host=host, port=port, why=reason_of(error))
-            raise InputError(said) from error
+            problem = say("plant-address-taken", host=host, port=port, why=reason_of(error))
+            raise InputError(problem) from error
         try:
             self.address = _address(server, self._settings)
             with self._steps.step():
@@ -216,19 +216,19 @@ class PressServer:
                     await self._show_event(server, self._presses[name], newest)
         await self._show_all(server, now, index)
 
-    def _read(self) -> dict[str, Told]:
-        found: dict[str, Told] = {}
+    def _read(self) -> dict[str, PressNews]:
+        found: dict[str, PressNews] = {}
         for name in self._store.presses():
             shown = self._presses.get(name)
             events = self._store.press_events(name, after=shown.last_event) if shown else ()
             found[name] = (present_of(self._store, name, self._clock()), events)
         return found
 
-    async def _show_all(self, server: Server, now: Mapping[str, Told], index: int) -> None:
+    async def _show_all(self, server: Server, now: Mapping[str, PressNews], index: int) -> None:
         for name, (present, events) in now.items():
             await self._show(server, self._presses[name], present, index)
             for event in events:
-                await self._tell(server, self._presses[name], event)
+                await self._send_event(server, self._presses[name], event)
 
     async def _show(self, server: Server, press: _Press, present: Present, index: int) -> None:
         for channel in present.channels:
@@ -243,7 +243,7 @@ class PressServer:
         for key, text in _texts(present).items():
             await _write(server, press, key, text, ua.StatusCodes.Good, utc)
 
-    async def _tell(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
+    async def _send_event(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
         press.last_event = event.number
         await self._show_event(server, press, event)
         press.events.event.Message = ua.LocalizedText(event.kind)
@@ -255,7 +255,7 @@ class PressServer:
 
 
 def _format(path: Path) -> str:
-    """Tell PEM from DER by what is in the file."""
+    """Distinguish PEM and DER by what is in the file."""
     return "pem" if path.read_bytes().lstrip().startswith(b"-----BEGIN") else "der"
 
 
@@ -290,13 +290,18 @@ def _channel_values(press: _Press, present: Present) -> dict[str, tuple[float, i
 
 
 def _estimate_values(present: Present) -> dict[str, tuple[float, int]]:
-    said = present.estimate
-    if said is None or not said.valid:
+    estimate = present.estimate
+    if estimate is None or not estimate.valid:
         code = ua.StatusCodes.BadNoData
         if not _live(present):
             code = ua.StatusCodes.BadNoCommunication if present.scan else ua.StatusCodes.BadWaitingForInitialData
         return dict.fromkeys(_ESTIMATES, (math.nan, code))
-    values = (said.core_celsius, said.core_low_celsius, said.core_high_celsius, said.core_sd_kelvin)
+    values = (
+        estimate.core_celsius,
+        estimate.core_low_celsius,
+        estimate.core_high_celsius,
+        estimate.core_sd_kelvin,
+    )
     return {key: (value, ua.StatusCodes.Good) for key, value in zip(_ESTIMATES, values, strict=True)}
 
 
@@ -307,17 +312,17 @@ def _leave(present: Present) -> tuple[bool, int]:
 
 
 def _texts(present: Present) -> dict[str, str]:
-    said = present.estimate
+    estimate = present.estimate
     if present.late is not None:
         reason = present.late.message
-    elif said is None:
+    elif estimate is None:
         reason = Invalid(InvalidReason.NO_ESTIMATE_YET).message
     else:
-        reason = reason_message(said.reason, (said.detail or {}).get("reason_arguments"))
+        reason = reason_message(estimate.reason, (estimate.detail or {}).get("reason_arguments"))
     return {
         "state": present.state,
         "run": present.run.run if present.run else "",
-        "model": said.model_version if said is not None and _live(present) else "",
+        "model": estimate.model_version if estimate is not None and _live(present) else "",
         "reason": str(reason),
     }
 

@@ -38,7 +38,7 @@ def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None =
         raise InputError(say("plant-nothing-configured", path=str(config.path)))
     stop = stop or threading.Event()
     stop_on_signals(stop)
-    logging.getLogger("asyncua").setLevel(logging.WARNING)  # it tells every request of every client
+    logging.getLogger("asyncua").setLevel(logging.WARNING)  # it logs every request of every client
     store = open_when_ready(config.store.url, stop, LOG)
     if store is None:
         return
@@ -85,7 +85,7 @@ class _Feeds:
             except StoreUnavailable as error:
                 LOG.warning("%s", say("store-trying-again", why=spoken(error)))
                 self._stop.wait(RETRY_S)
-            except BaseException as error:  # noqa: BLE001 - told by the main thread
+            except BaseException as error:  # noqa: BLE001 - reported by the main thread
                 self._failed.append(error)
                 self._stop.set()
 

@@ -2,7 +2,7 @@
 
 Serial protocols carry no transaction number: a reply that comes late would be taken for the reply
 to the next request, with another request's channels in it. So after a timeout or a bad frame the
-bus listens, and throws away, until it has heard nothing for at least the device's worst response
+bus listens, and throws away, until it has received nothing for at least the device's worst response
 time; only then does the next request leave. Bytes found waiting before a request make the line
 suspect in the same way.
 
@@ -101,7 +101,7 @@ class Bus:
                 result = self._await(link, take, timing, requested_s)
             except LinkLost as error:
                 self._drop()
-                raise NoReply(self._said(error), Cause.PORT_LOST) from error
+                raise NoReply(self._with_place(error), Cause.PORT_LOST) from error
             except ReadFailure as failure:
                 self._suspect(failure, timing)
                 raise
@@ -117,7 +117,7 @@ class Bus:
                 link.write(data)
             except LinkLost as error:
                 self._drop()
-                raise NoReply(self._said(error), Cause.PORT_LOST) from error
+                raise NoReply(self._with_place(error), Cause.PORT_LOST) from error
             self._last_byte_s = time.monotonic()
 
     def open(self, timing: LineTiming) -> int:
@@ -170,15 +170,15 @@ class Bus:
 
     def _settle(self, link: Link, timing: LineTiming) -> None:
         """Listen until the line owes no more silence: what waits before a request answers an older one."""
-        heard = link.read(0.0)
-        if heard:
+        data = link.read(0.0)
+        if data:
             self._owe(timing if not self.numbered else replace(timing, drain_s=_REST_OF_FRAME_S))
         give_up = time.monotonic() + _LONGEST_DRAIN * max(self._drain_s, timing.drain_s)
-        while (now := time.monotonic()) < self._quiet_until or heard:  # a busy machine may oversleep a silence
+        while (now := time.monotonic()) < self._quiet_until or data:  # a busy machine may oversleep a silence
             if now > give_up:
                 raise BadFrame(say("line-babbles", place=str(self.place)), Cause.BABBLE)
-            heard = link.read(max(self._quiet_until - now, 0.0))
-            if heard:
+            data = link.read(max(self._quiet_until - now, 0.0))
+            if data:
                 self._quiet_until = time.monotonic() + self._drain_s
         self._drain_s = 0.0
         if self.numbered:
@@ -206,7 +206,7 @@ class Bus:
             raise BadFrame(say("reply-to-others", place=str(self.place)), Cause.WRONG_ID)
         raise NoReply(say("logger-no-reply", place=str(self.place), timeout_s=timing.timeout_s), Cause.SILENT)
 
-    def _said(self, lost: LinkLost) -> Message:
+    def _with_place(self, lost: LinkLost) -> Message:
         return say("at-place", place=str(self.place), what=spoken(lost))
 
 

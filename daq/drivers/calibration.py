@@ -57,8 +57,8 @@ def _entry(path: Path, number: int, table: object) -> Calibration:
     try:
         return Calibration.model_validate(table)
     except ValidationError as error:
-        said = say("calibration-entry", number=number, what=explained(error, Calibration))
-        raise InputError(at(path, said)) from None
+        problem = say("calibration-entry", number=number, what=explained(error, Calibration))
+        raise InputError(at(path, problem)) from None
 
 
 def append_calibrations(path: Path, entries: Iterable[Calibration]) -> None:

@@ -145,5 +145,5 @@ class DconDevice:
         return text.removeprefix(lead).encode("ascii")
 
     def _refused(self, why: Message) -> NoReply:
-        said = say("module-refused", place=str(self.bus.place), address=self._at, why=why)
-        return NoReply(said, Cause.REFUSED)
+        problem = say("module-refused", place=str(self.bus.place), address=self._at, why=why)
+        return NoReply(problem, Cause.REFUSED)

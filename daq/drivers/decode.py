@@ -114,11 +114,11 @@ def _status(
 ) -> list[Quality]:
     bits = profile.status_bits
     if bits and flags is not None:
-        told = [
+        flagged = [
             out_of_range(profile, value, half_count) if bits.quality == "range" else bits.quality
             for value in celsius
         ]
-        return [quality if flag else Quality.GOOD for quality, flag in zip(told, flags, strict=False)]
+        return [quality if flag else Quality.GOOD for quality, flag in zip(flagged, flags, strict=False)]
     if profile.status_codes:
         codes = profile.status_codes
         found = words[codes.at : codes.at + profile.inputs]
@@ -127,7 +127,7 @@ def _status(
 
 
 def _judge(profile: Profile, raw: float, status: Quality) -> Quality:
-    """Weigh code and status: either may say open, which is the most that can be said."""
+    """Weigh code and status: either may say open, which is the gravest."""
     if status is Quality.OPEN:
         return status
     for error in profile.errors:

@@ -49,7 +49,7 @@ class ModbusDevice:
             found = _words(request, self._ask(request).payload)
             expected = check.expect * check.count if len(check.expect) == 1 else check.expect
             if found != expected:
-                said = say(
+                problem = say(
                     "logger-check-differs",
                     place=str(self.bus.place),
                     station=self._station,
@@ -58,7 +58,7 @@ class ModbusDevice:
                     profile=self._profile.name,
                     expected=_hex(expected),
                 )
-                raise NoReply(said, Cause.REFUSED)
+                raise NoReply(problem, Cause.REFUSED)
 
     def sample(self) -> Sample:
         """Fetch all inputs once."""

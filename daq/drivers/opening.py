@@ -45,7 +45,7 @@ def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogge
 
 
 def uncorrected(settings: LoggerSettings) -> Message | None:
-    """Return what is to be said of a calibration file that nobody has made yet; None where there is one."""
+    """Return a remark on a calibration file that nobody has made yet; None where there is one."""
     if settings.calibration is None or settings.calibration.exists():
         return None
     return say("logger-uncorrected", logger=settings.name, file=str(settings.calibration))

@@ -107,7 +107,7 @@ class Proposal:
 
     settings: Mapping[str, Any]
     ambiguous_with: tuple[Message | str, ...] = ()
-    """Other profiles that read just as well: only the label on the device can tell."""
+    """Other profiles that read just as well: only the label on the device decides."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def probe(
     timeout_s
         Wait for each reply. [s]
     progress
-        Told before each step what is tried.
+        Called before each step with what is tried.
 
     Raises
     ------

@@ -51,7 +51,7 @@ class Timing(_Table):
     """Worst time from request to complete reply, wire included."""
     drain_s: float | None = Field(default=None, gt=0)
     """Silence after a fault where less than the worst response time is enough, because the reply
-    itself tells which request it answers; None: the worst response time."""
+    itself names the request it answers; None: the worst response time."""
     refresh_s: float = Field(gt=0)
     """Time in which every input is converted once."""
     age_s: float = Field(default=0.0, ge=0)
@@ -74,7 +74,7 @@ class Block(_Table):
     """Zero-based, as on the wire."""
     count: int = Field(ge=1, le=125)
     alternate: Literal[3, 4] | None = None
-    """The other function that reads the same registers: used in turn, it tells a reply that comes
+    """The other function that reads the same registers: used in turn, it shows a reply that comes
     later than any drain from the reply to the next request."""
 
 
@@ -276,8 +276,8 @@ def profile_table(name: str) -> dict[str, Any]:
     path = Path(name) if own else Path(str(resources.files("daq.drivers") / "profiles" / f"{name}.toml"))
     if not path.exists():
         meant, known = nearest(name, profile_names()) or "", profile_names()
-        said = say("profile-unknown-meant", meant=meant) if meant else say("profile-unknown", known=known)
-        raise InputError(at(name, said))
+        problem = say("profile-unknown-meant", meant=meant) if meant else say("profile-unknown", known=known)
+        raise InputError(at(name, problem))
     return load_toml(path, say("file-of-profile"))
 
 
@@ -303,8 +303,8 @@ def check_profile(table: Mapping[str, Any], where: Message | str) -> Profile:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         missing = first["type"] == "missing"
-        said = say("profile-not-established", key=key) if missing else explained(error, Profile)
-        raise InputError(at(where, said)) from None
+        problem = say("profile-not-established", key=key) if missing else explained(error, Profile)
+        raise InputError(at(where, problem)) from None
 
 
 def profile_for(settings: LoggerSettings) -> Profile:
@@ -312,8 +312,8 @@ def profile_for(settings: LoggerSettings) -> Profile:
     where = say("logger-of-profile", logger=settings.name, profile=settings.profile)
     profile = check_profile(merged(profile_table(settings.profile), settings.override), where)
     if len(settings.channels) > profile.inputs:
-        said = say("logger-too-many-channels", channels=len(settings.channels), inputs=profile.inputs)
-        raise InputError(at(where, said))
+        problem = say("logger-too-many-channels", channels=len(settings.channels), inputs=profile.inputs)
+        raise InputError(at(where, problem))
     chosen = settings.scaling or profile.scaling
     if profile.protocol == "modbus" and chosen not in profile.scalings:
         given = "yes" if chosen else "no"

@@ -32,7 +32,7 @@ def documents_of(
     Parameters
     ----------
     started
-        When the run's time was 0. None where nobody said: documents must have a time, so theirs is the run's own,
+        When the run's time was 0. None where it is not known: documents must have a time, so theirs is the run's,
         and the first one says so (``time_unknown``).
     units
         Of the columns, as far as they are known: a wrong unit is worse than none.
@@ -40,8 +40,8 @@ def documents_of(
         How: ``abort`` for a run that was interrupted; None for one that goes on, which has no stop document yet.
     """
     start, started_unix_s = _identifier(run.name, "start"), 0.0 if started is None else started.timestamp()
-    told = {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run.header)}
-    yield "start", told | ({"time_unknown": True} if started is None else {})
+    document = {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run.header)}
+    yield "start", document | ({"time_unknown": True} if started is None else {})
     yield "descriptor", _descriptor(run, start, started_unix_s, units or {})
     yield from _events(run, started_unix_s)
     if ended is None:

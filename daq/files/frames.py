@@ -75,7 +75,7 @@ def attrs_of(run: Run) -> dict[str, Any]:
 def qualities_of(run: Run) -> pd.DataFrame:
     """Return what each value is worth, one column a channel (``good``, ``open``, ``stale``, ...), by ``time_s``.
 
-    A missing value that nothing is said of is ``missing``; columns that a row's ``*`` covers have its quality.
+    A missing value without a quality is ``missing``; columns that a row's ``*`` covers have its quality.
 
     Examples
     --------

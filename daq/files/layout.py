@@ -36,7 +36,7 @@ class Layout:
     freq: Any
     """How far apart the instants or durations of its index are, where pandas knows them to be even."""
     first: pd.Timestamp | None
-    """The first of instants without a zone, which no header tells."""
+    """The first of instants without a zone, which no header states."""
     rows: pd.Index
     """Its times in the run, by which the rows of what is kept are found. [s]"""
     labels: pd.Index | None
@@ -90,7 +90,7 @@ def _is_more_than_held(given: pd.Series[Any]) -> bool:
 
 
 def with_kinds(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
-    """Return a run's table with its columns in the order and of the kinds that the layout tells."""
+    """Return a run's table with its columns in the order and of the kinds of its layout."""
     order = [column for column in layout.kinds if column in frame.columns]
     order += [column for column in frame.columns if column not in layout.kinds]
     if order != list(frame.columns):

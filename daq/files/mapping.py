@@ -91,7 +91,7 @@ class TimeTable(_Table):
     column: str | tuple[str, ...]
     format: str = "seconds"
     zone: str = ""
-    """Of dates and times that do not tell their own; without, they are only counted from the first row."""
+    """Of dates and times that have none of their own; without, they are only counted from the first row."""
     from_zero: bool = True
     """Count from the first row; instants always do."""
     repeated: Literal["refuse", "first"] = "refuse"
@@ -106,7 +106,7 @@ class TimeTable(_Table):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns whose cells, joined by blanks, tell the time."""
+        """The columns whose cells, joined by blanks, give the time."""
         return (self.column,) if isinstance(self.column, str) else self.column
 
 
@@ -182,8 +182,8 @@ def read_mapping(path: Path) -> Mapped:
         mapped = Mapped.model_validate(load_toml(path, say("file-of-mapping")))
     except ValidationError as error:
         raise InputError(at(path, explained(error, Mapped))) from error
-    for said in _contradictions(mapped):
-        raise InputError(at(path, said))
+    for problem in _contradictions(mapped):
+        raise InputError(at(path, problem))
     return mapped
 
 
@@ -224,8 +224,8 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
         for column, (values, temperature) in kept.items():
             value = _value(path, row, places[column.to], column, mapped.file)
             if temperature and (value <= COLDEST_C or value >= HOTTEST_C):
-                said = say("foreign-no-temperature", value=f"{value:g}", coldest=COLDEST_C, hottest=HOTTEST_C)
-                raise InputError(at(path, said, line=row.line, column=" | ".join(column.sources)))
+                problem = say("foreign-no-temperature", value=f"{value:g}", coldest=COLDEST_C, hottest=HOTTEST_C)
+                raise InputError(at(path, problem, line=row.line, column=" | ".join(column.sources)))
             values.append(value)
     if first is None:
         raise InputError(at(path, say("foreign-no-rows", line=names.line)))
@@ -298,8 +298,8 @@ def _rows(path: Path, file: FileTable) -> Iterator[_Row]:
         row = _Row(read[0], [cell for cell in cells if cell] if delimiter == " " else cells)
         names = names or row
         if len(row.cells) < len(names.cells) and any(names.cells[len(row.cells) :]):
-            said = say("foreign-cell-count", cells=len(row.cells), line=names.line, columns=len(names.cells))
-            raise InputError(at(path, said, line=row.line))
+            problem = say("foreign-cell-count", cells=len(row.cells), line=names.line, columns=len(names.cells))
+            raise InputError(at(path, problem, line=row.line))
         yield row
 
 
@@ -316,8 +316,8 @@ def _lines(path: Path, file: FileTable) -> Iterator[tuple[int, str]]:
     except LookupError as error:
         raise InputError(at(path, say("foreign-encoding-unknown", encoding=file.encoding))) from error
     except UnicodeDecodeError as error:
-        said = say("foreign-encoding-wrong", encoding=file.encoding, byte=_undecodable(path, file.encoding))
-        raise InputError(at(path, said)) from error
+        problem = say("foreign-encoding-wrong", encoding=file.encoding, byte=_undecodable(path, file.encoding))
+        raise InputError(at(path, problem)) from error
     except OSError as error:
         raise InputError(
             at(path, say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error)))
@@ -387,8 +387,8 @@ def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -mat
         moment = _moment(cell, layout)
     except ValueError as error:
         named = " + ".join(mapped.time.columns)
-        said = say("foreign-time-format", cell=repr(cell), format=layout)
-        raise InputError(at(path, said, line=row.line, column=named)) from error
+        problem = say("foreign-time-format", cell=repr(cell), format=layout)
+        raise InputError(at(path, problem, line=row.line, column=named)) from error
     if moment.tzinfo:
         return moment.timestamp()
     local = moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC)
@@ -401,7 +401,7 @@ def _moment(cell: str, layout: str) -> datetime:
 
 
 def _start(path: Path, row: _Row, names: Sequence[str], mapped: Mapped) -> dict[str, Any]:
-    """Return the header key of when the file begins, where the file or the mapping tells the zone."""
+    """Return the header key of when the file begins, where the file or the mapping states the zone."""
     if mapped.time.format in _SECONDS or mapped.time.format == "clock":
         return {}
     cell = " ".join(row.cells[names.index(column)] for column in mapped.time.columns)
@@ -428,8 +428,8 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
     try:
         value = float(_plain(cell, file)) * column.scale + column.offset
     except ValueError as error:
-        said = say("foreign-no-number", cell=repr(cell), decimal=file.decimal)
-        raise InputError(at(path, said, line=row.line, column=" | ".join(column.sources))) from error
+        problem = say("foreign-no-number", cell=repr(cell), decimal=file.decimal)
+        raise InputError(at(path, problem, line=row.line, column=" | ".join(column.sources))) from error
     if not column.lower <= value <= column.upper or not math.isfinite(value):
         return math.nan
     return round(celsius_of(value, column.unit), 9) if column.unit in ("K", "F") else value

@@ -60,7 +60,7 @@ class Columns:
 
     arrays: dict[str, pa.Array] = field(default_factory=dict)
     forms: dict[str, Form] = field(default_factory=dict)
-    told: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
     """What else stands in the file's metadata, for this program."""
     header: Mapping[str, str] = field(default_factory=dict)
     """Keys of a run's header in the metadata, each with its value as TOML."""
@@ -129,8 +129,8 @@ class FormerColumns(Columns):
 
 def write_columns(made: Columns, file: IO[bytes]) -> None:
     """Write a table."""
-    told = json.dumps(
-        {"format": FORMAT, "forms": made.forms, **made.told}, ensure_ascii=False, separators=(",", ":")
+    metadata = json.dumps(
+        {"format": FORMAT, "forms": made.forms, **made.metadata}, ensure_ascii=False, separators=(",", ":")
     )
     table = pa.table(made.arrays)
     kinds = {f.name: f.type for f in table.schema}
@@ -150,7 +150,7 @@ def write_columns(made: Columns, file: IO[bytes]) -> None:
         store_schema=False,  # Arrow's own copy of it takes 1 to 2 kB
     ) as writer:
         writer.write_table(table)
-        writer.add_key_value_metadata({ARCHIVE: told, **made.header})
+        writer.add_key_value_metadata({ARCHIVE: metadata, **made.header})
 
 
 def _add(columns: dict[str, pa.Array], name: str, values: Array) -> Form:
@@ -264,9 +264,9 @@ def columns_of(file: pq.ParquetFile) -> Columns:
     KeyError, TypeError, ValueError
         For a file without what it should hold. (So does `pyarrow.ArrowException`.)
     """
-    told = json.loads(file.metadata.metadata[ARCHIVE.encode()])
-    if told["format"] > FORMAT:
+    metadata = json.loads(file.metadata.metadata[ARCHIVE.encode()])
+    if metadata["format"] > FORMAT:
         raise NewerFormat
     table = file.read(use_threads=False)
     arrays = {name: table.column(name).combine_chunks() for name in table.column_names}
-    return (FormerColumns if told["format"] == 1 else Columns)(arrays, told["forms"], told)
+    return (FormerColumns if metadata["format"] == 1 else Columns)(arrays, metadata["forms"], metadata)

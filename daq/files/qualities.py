@@ -60,7 +60,7 @@ def faults_of(text: str) -> Mapping[str, Quality] | None:
 
 
 def row_faults(run: Run) -> list[Mapping[str, Quality]] | None:
-    """Return what deviates in each row; None where the run tells nothing about that.
+    """Return what deviates in each row; None where the run has no such column.
 
     A column of that name which holds other remarks, or names a column that is not there, is such a case.
     """
@@ -69,8 +69,8 @@ def row_faults(run: Run) -> list[Mapping[str, Quality]] | None:
         return None
     known = {OTHERS, *run.columns}
     read = {text: faults_of(text) for text in set(texts)}
-    told = {text: faults for text, faults in read.items() if faults is not None and known.issuperset(faults)}
-    return [told[text] for text in texts] if len(told) == len(read) else None
+    valid = {text: faults for text, faults in read.items() if faults is not None and known.issuperset(faults)}
+    return [valid[text] for text in texts] if len(valid) == len(read) else None
 
 
 def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, Message] | None:
@@ -78,8 +78,8 @@ def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, 
 
     A column that nowhere says ``COLUMN=`` or ``=QUALITY`` holds other words, and nothing of it is wrong.
 
-    >>> row, said = wrong_quality(["", "top_9=open"], ["top_1"])
-    >>> row, str(said)
+    >>> row, why = wrong_quality(["", "top_9=open"], ["top_1"])
+    >>> row, str(why)
     (1, "'top_9=open' names column 'top_9', which is not there; correct the name")
     """
     pairs = {text: _PAIR.findall(text) for text in set(texts)}
@@ -101,15 +101,15 @@ def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, 
 
 def rows_alike(run: Run) -> list[tuple[Mapping[str, Quality], NDArray[np.intp]]]:
     """Return what deviates with the rows that say it, one entry a cell that differs; good rows are left out."""
-    told = row_faults(run)
-    if told is None or not any(told):
+    faults_by_row = row_faults(run)
+    if faults_by_row is None or not any(faults_by_row):
         return []
     texts = run.texts[QUALITY]
     places = {text: place for place, text in enumerate(dict.fromkeys(texts))}
     cells = np.fromiter(map(places.__getitem__, texts), np.intp, len(texts))
     order = np.argsort(cells, kind="stable")
     groups = np.split(order, np.searchsorted(cells[order], np.arange(1, len(places))))
-    return [(told[rows[0]], rows) for rows in groups if told[rows[0]]]
+    return [(faults_by_row[rows[0]], rows) for rows in groups if faults_by_row[rows[0]]]
 
 
 def without_unusable(run: Run) -> Run:
@@ -128,9 +128,9 @@ def without_unusable(run: Run) -> Run:
 
 def spans_of(run: Run) -> Iterator[QualitySpan]:
     """Yield what deviates in a run as spans of time, by column, each column's in order."""
-    told, times = row_faults(run) or [], run.time_s.tolist()
-    alike = [list(rows) for _, rows in groupby(range(len(told)), key=lambda row: run.texts[QUALITY][row])]
-    stretches = [(told[rows[0]], rows[0], rows[-1]) for rows in alike]
+    faults_by_row, times = row_faults(run) or [], run.time_s.tolist()
+    alike = [list(rows) for _, rows in groupby(range(len(faults_by_row)), key=lambda row: run.texts[QUALITY][row])]
+    stretches = [(faults_by_row[rows[0]], rows[0], rows[-1]) for rows in alike]
     named = {name for faults, _, _ in stretches for name in faults}
     for column in (name for name in (OTHERS, *run.columns) if name in named):
         for quality, group in groupby(stretches, key=partial(_quality, column)):

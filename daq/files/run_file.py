@@ -87,8 +87,8 @@ def read_run(path: Path, temperatures: Sequence[str] = ()) -> Run:
             header, names, rows = _read_header(path, file)
         return _run(path, header, read_rows(rows, names, temperatures))
     except OSError as error:
-        said = say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error))
-        raise InputError(at(path, said)) from error
+        problem = say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error))
+        raise InputError(at(path, problem)) from error
 
 
 def write_run(run: Run, path: Path) -> None:
@@ -235,8 +235,8 @@ def _header_line(path: Path, line: int, raw: bytes) -> dict[str, Any]:
     try:
         parsed = read_toml(text)
     except InputError as error:
-        said = say("header-line-no-toml", text=text[:60], reason=spoken(error))
-        raise InputError(at(path, said, line=line)) from error
+        problem = say("header-line-no-toml", text=text[:60], reason=spoken(error))
+        raise InputError(at(path, problem, line=line)) from error
     if text.startswith("["):
         raise InputError(at(path, say("header-section", text=text[:60]), line=line))
     return parsed
@@ -269,8 +269,8 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
                 times = _parquet_times(path, file.read(columns=[time])[time], header)
                 rows = Rows({TIME: times, **rows.columns}, rows.texts)
     except (pa.ArrowInvalid, OSError) as error:
-        said = say("run-no-parquet", reason=str(error).splitlines()[0])
-        raise InputError(at(path, said, column=_damaged_column(path))) from error
+        problem = say("run-no-parquet", reason=str(error).splitlines()[0])
+        raise InputError(at(path, problem, column=_damaged_column(path))) from error
     check_rows(str(path), rows, temperatures=temperatures)
     return _run(path, header, rows)
 
@@ -372,7 +372,7 @@ def _parquet_rows(file: pq.ParquetFile, kinds: Mapping[str, bool]) -> Rows:
 
 
 def _damaged_column(path: Path) -> str | None:
-    """Return which column of a Parquet file cannot be read; None where that cannot be told."""
+    """Return which column of a Parquet file cannot be read; None where that is not known."""
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowInvalid, OSError):

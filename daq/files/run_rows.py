@@ -99,8 +99,8 @@ def check_names(where: Message | str, names: Sequence[str]) -> None:
             raise InputError(at(where, say("run-column-unnamed", number=number, name=repr(name))))
         if name in names[: number - 1]:
             first = names.index(name) + 1
-            said = say("run-column-twice", column=name, first=first, second=number)
-            raise InputError(at(where, said))
+            problem = say("run-column-twice", column=name, first=first, second=number)
+            raise InputError(at(where, problem))
 
 
 def number_in(cell: str) -> float | None:
@@ -149,14 +149,14 @@ def check_rows(
         if len(bad := np.flatnonzero(np.isinf(column))):
             raise InputError(_in_row(where, place(bad[0]), say("run-value-infinite"), name))
         if name == CLOSED and len(bad := np.flatnonzero(~np.isin(column, (0.0, 1.0)) & ~np.isnan(column))):
-            said = say("run-closed-value", value=float(column[bad[0]]))
-            raise InputError(_in_row(where, place(bad[0]), said, name))
+            problem = say("run-closed-value", value=float(column[bad[0]]))
+            raise InputError(_in_row(where, place(bad[0]), problem, name))
         if any(fnmatch.fnmatchcase(name, pattern) for pattern in temperatures):
             bad = np.flatnonzero((column <= COLDEST_C) | (column >= HOTTEST_C))
             if len(bad):
                 found = f"{column[bad[0]]:g}"
-                said = say("run-no-temperature", value=found, coldest=COLDEST_C, hottest=HOTTEST_C)
-                raise InputError(_in_row(where, place(bad[0]), said, name))
+                problem = say("run-no-temperature", value=found, coldest=COLDEST_C, hottest=HOTTEST_C)
+                raise InputError(_in_row(where, place(bad[0]), problem, name))
     if wrong := wrong_quality(rows.texts.get(QUALITY, ()), {*rows.columns, *rows.texts}):
         raise InputError(_in_row(where, place(wrong[0]), wrong[1], QUALITY))
 
@@ -172,8 +172,8 @@ def _check_times(where: str, times: Array, place: Callable[[int], Message]) -> N
         raise BrokenTime(_in_row(where, place(i), say("run-time-missing"), TIME))
     if np.isfinite(times[i]):
         found, before = repr(float(times[i])), repr(float(times[i - 1]))
-        said = say("run-time-falls", time=found, place=place(i - 1), before=before)
-        raise BrokenTime(_in_row(where, place(i), said))
+        problem = say("run-time-falls", time=found, place=place(i - 1), before=before)
+        raise BrokenTime(_in_row(where, place(i), problem))
 
 
 def _fast_rows(text: RowText, names: Sequence[str]) -> Rows | None:
@@ -235,8 +235,8 @@ def _slow_rows(text: RowText, names: Sequence[str]) -> Rows:
     known: dict[str, str] = {}
     for number, cells in _records(text):
         if len(cells) != len(names):
-            said = say("run-cell-count", cells=len(cells), columns=len(names))
-            raise InputError(at(where, said, line=number))
+            problem = say("run-cell-count", cells=len(cells), columns=len(names))
+            raise InputError(at(where, problem, line=number))
         for place, values in numbers.items():
             values.append(_cell(where, number, names[place], cells[place]))
         for place, kept in texts.items():
@@ -257,8 +257,8 @@ def _records(text: RowText) -> Iterator[tuple[int, list[str]]]:
             except StopIteration:
                 return
             except csv.Error as error:
-                said = say("run-quotation", reason=str(error))
-                raise InputError(at(text.path, said, line=number)) from error
+                problem = say("run-quotation", reason=str(error))
+                raise InputError(at(text.path, problem, line=number)) from error
             if len(cells) > 1 or (cells and cells[0].strip()):
                 yield number, cells
 

@@ -60,7 +60,7 @@ _SANK_K, _SANK_RATIO, _SANK_SPARE_K = 4.0, 1.7, 2.5
 """It sank, not only touched worse, where it fell by the first, and by more than its distance to the plate had been
 times the second and the third. [K, -, K]"""
 _ONE_FACE_TOP_K, _ONE_FACE_BOTTOM_K = 3.0, 2.0
-"""Where one face is heard: its fall. [K]"""
+"""Where one face is read: its fall. [K]"""
 _TOP_COLD_SHARE, _TOP_HOT_SHARE = 0.2, 0.6
 """Of the way from room to plate: an upper face below the first contradicts a wire that says closed, above the
 second one that says open."""
@@ -114,7 +114,7 @@ class PressEventDetector:
     Parameters
     ----------
     press
-        Tells which columns lie on which face and which are platens.
+        Gives which columns lie on which face and which are platens.
     inserted
         The first scan lies at the insertion or later: start in the open press, not idle. None: find out.
     placing
@@ -154,7 +154,7 @@ class PressEventDetector:
         """Why wire and temperatures contradict each other, for the journal; None while they agree."""
 
     def looks_at(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return those columns that tell it anything: faces, platens and wires."""
+        """Return those columns that it reads: faces, platens and wires."""
         top, bottom = self._columns.of_face(names)
         known = {*top, *bottom, *self._columns.platens, *self.wires.columns}
         return tuple(name for name in names if name in known)
@@ -254,7 +254,7 @@ class PressEventDetector:
             around.append(PressEventKind.INSERTED)
         self._pending = None
         events = [self._event(x, time_s, time_s) for x in around]
-        events.append(self._event(kind, time_s, time_s, self.wires.told_by))
+        events.append(self._event(kind, time_s, time_s, self.wires.source))
         if not closed and self._nothing_hot(self._rows[-1]):
             events.append(self._event(PressEventKind.REMOVED, time_s, time_s))
         return events
@@ -276,7 +276,7 @@ class PressEventDetector:
         if time_s - self._since < _COMPARED_AFTER_S or row.plate - row.top != row.plate - row.top:
             return
         reach = (row.top - ROOM_C) / max(row.plate - ROOM_C, _COMPARED_LEAST_K)
-        wire = self.wires.told_by.message
+        wire = self.wires.source.message
         if closed and reach < _TOP_COLD_SHARE:
             self.disagreement = say("wire-closed-face-cold", wire=wire)
         elif not closed and not self._was_closed and reach > _TOP_HOT_SHARE and self._state is PressState.OPEN:
@@ -381,7 +381,7 @@ class PressEventDetector:
         return _together(now.bottoms, then.bottoms, 0.5 * share * gap)
 
     def _upper_only(self, now: _Row, then: _Row) -> bool:
-        """Where no sensor of the lower face is heard, not only for a scan, the upper one has warmed."""
+        """Where no sensor of the lower face is read, not only for a scan, the upper one has warmed."""
         early = self._row_before(_SLOW_S) or then
         if self._bottom_before(0.0) is not None or not now.top > _HAND_RATIO * HAND_C:
             return False

@@ -9,11 +9,11 @@ The faces decide, each by the median of its sensors, so that a loose, dead or no
 
 A limit switch or a pressure channel, where one is logged, goes before the temperatures
 (`daq.press.wires`). The moment itself is placed between the scans by `daq.press.moments`, once enough
-scans have followed to tell, at most 0.9 s later.
+scans have followed to decide, at most 0.9 s later.
 `find_moments` runs the same machine over a whole run and then looks at each moment with both sides known.
 
 The recorder and the live sensor each run the machine (2026-11-25). The recorder's events, which the store keeps
-with the scan that showed them, cut the runs and tell people. The live sensor cannot take those: it is a function
+with the scan that showed them, cut the runs and inform people. The live sensor cannot take those: it is a function
 of header and scans alone, so that `predict`, an imported run, a sensor fed by hand and a restarted service answer
 the same; it leaves out channels that stand still and follows what a run's header overrides, as the recorder does
 not; and its steps need what is `pending` and the state at every scan, which no event holds.
@@ -68,7 +68,7 @@ def find_moments(run: Run, press: Press) -> Moments:
     columns = columns_of(press)
     names = tuple(run.columns)
     top_names, bottom_names = columns.of_face(names)
-    switch, told_by = closed_of(run, press) or (None, EventSource.UNKNOWN)
+    switch, wire = closed_of(run, press) or (None, EventSource.UNKNOWN)
     switched = switch is not None and bool(np.isfinite(switch).any())
     top, bottom = face_of(run, top_names), face_of(run, bottom_names)
     if not (np.isfinite(top).any() or np.isfinite(bottom).any() or switched):
@@ -80,7 +80,7 @@ def find_moments(run: Run, press: Press) -> Moments:
     source, ramp = EventSource.TEMPERATURES, Moments().ramp_s
     if switched and switch is not None:
         moments.update(_switch_moments(run.time_s, switch, moments))
-        source = told_by
+        source = wire
     elif PressEventKind.CLOSED in placed:
         ramp = placed[PressEventKind.CLOSED].ramp
     closed = moments.get(PressEventKind.CLOSED, math.nan)
@@ -126,7 +126,7 @@ def _coarse(
 
 
 def _slow_insertion(times: Array, bottom: Array, closed: float) -> float:
-    """Return when the lower face began to warm, too slowly to be noticed; the first row where none tells."""
+    """Return when the lower face began to warm, too slowly to be noticed; the first row where none shows it."""
     first = float(times[0])
     before = (times < (closed - _STILL_OPEN_S if closed == closed else times[-1])) & np.isfinite(bottom)
     if before.sum() < 4 or closed != closed:

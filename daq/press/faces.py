@@ -29,7 +29,7 @@ _BRIDGED_S = 3.0
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns tell what, by patterns of the press file."""
+    """Which columns hold what, by patterns of the press file."""
 
     top: tuple[str, ...]
     bottom: tuple[str, ...]

@@ -122,7 +122,7 @@ def checked_number(key: str, value: object, place: object) -> float:
     limits = LIMITS[key]
     number = number_of(value)
     if not limits.lower <= number <= limits.upper:
-        said = say(
+        problem = say(
             "header-number-outside",
             key=key,
             value=quoted(value),
@@ -130,7 +130,7 @@ def checked_number(key: str, value: object, place: object) -> float:
             upper=limits.upper,
             unit=limits.unit,
         )
-        raise Nonphysical(at(place, said))
+        raise Nonphysical(at(place, problem))
     return number
 
 
@@ -141,8 +141,8 @@ def doubts(header: Mapping[str, Any]) -> tuple[Message, ...]:
 
 def new_doubts(header: Mapping[str, Any], before: Mapping[str, Any]) -> tuple[Message, ...]:
     """Return what is to be asked about a header that was not about the one before it."""
-    told = doubts(before)
-    return tuple(doubt for doubt in doubts(header) if doubt not in told)
+    earlier = doubts(before)
+    return tuple(doubt for doubt in doubts(header) if doubt not in earlier)
 
 
 def panel_of(run: Run) -> Panel:
@@ -165,10 +165,10 @@ def panel_of(run: Run) -> Panel:
             return checked_table(full, value, where)[0][1]
         if value is not None:
             return checked_number(full, value, where)
-        said = say("header-missing", key=full)
+        problem = say("header-missing", key=full)
         if listed and known is None:
-            said = say("header-missing-material", key=full, material=material, known=tuple(MATERIALS))
-        raise InputError(at(where, said))
+            problem = say("header-missing-material", key=full, material=material, known=tuple(MATERIALS))
+        raise InputError(at(where, problem))
 
     def table(key: str) -> tuple[tuple[float, float], ...]:
         value = header.get(f"panel.{key}")
@@ -193,8 +193,8 @@ def check_material(header: Mapping[str, Any], place: object) -> None:
     material = str(header.get("panel.material", ""))
     missing = [key for key in CONSTANTS if header.get(key) is None]
     if missing and find_material(material) is None:
-        said = say("header-material-unknown", material=material, known=tuple(MATERIALS), missing=tuple(missing))
-        raise InputError(at(place, said))
+        problem = say("header-material-unknown", material=material, known=tuple(MATERIALS), missing=tuple(missing))
+        raise InputError(at(place, problem))
 
 
 def _meant(key: str) -> str | None:
@@ -218,8 +218,8 @@ def _check_sd(key: str, value: object, place: object) -> None:
     base = key.removesuffix(SD)
     limits = LIMITS.get(base)
     if limits is not None and number_of(value) > (most := limits.upper - limits.lower):
-        said = say("header-sd-too-wide", key=key, value=quoted(value), base=base, most=most, unit=limits.unit)
-        raise Nonphysical(at(place, said))
+        problem = say("header-sd-too-wide", key=key, value=quoted(value), base=base, most=most, unit=limits.unit)
+        raise Nonphysical(at(place, problem))
 
 
 def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:

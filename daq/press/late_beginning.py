@@ -2,7 +2,7 @@
 
 Without a wire the machine of `detector` knows a closed press by its closing alone, and a run needs that moment. A
 recorder that is started later stores the scans and cuts no run of them, which must not go by in silence. What the
-sensors show then does not tell a panel being pressed from one just pressed.
+sensors show then looks alike for a panel being pressed and one just pressed.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ class LateBeginning:
         self._over = not press.has_states
         self._first_s, self._first_hot = math.nan, False
 
-    def look(self, time_s: float, values: Mapping[str, float], *, told: bool) -> bool:
+    def look(self, time_s: float, values: Mapping[str, float], *, known: bool) -> bool:
         """Return, once, that a panel was hot from the first scan on that shows one.
 
         Parameters
         ----------
         values
             Of a scan, NaN where they are not usable.
-        told
-            A wire or an event has said by now what the press does.
+        known
+            A wire or an event has shown by now what the press does.
         """
-        if self._over or told:
+        if self._over or known:
             self._over = True
             return False
         hot = self._hot(values)

@@ -75,7 +75,7 @@ _NEVER = 1e9
 _UNLIKELY = 20.0
 """A lag whose misfit is larger by this is not tried: its odds are e⁻¹⁰."""
 _LAG_COST = 5.0
-"""Misfit of any lag against none: odds of e⁻²·⁵, one in twelve, before its length tells against it."""
+"""Misfit of any lag against none: odds of e⁻²·⁵, one in twelve, before its length counts against it."""
 _REACH_S = 4.0
 """How long after the ramp a face is compared: √(a t) is 0.6 mm in MDF then, so any panel is a half space. [s]"""
 
@@ -162,7 +162,7 @@ def closing_moment(
     distance = np.maximum(plate - base, 1.0)
     share = (face - base) / distance
     counts, sums = _by_place(times, onsets, share)
-    error = sigma + 0.5 / float(np.median(distance)) if len(distance) else math.inf  # the prior alone tells
+    error = sigma + 0.5 / float(np.median(distance)) if len(distance) else math.inf  # the prior alone counts
     lag = no_lag() if lag is None else lag
     prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
     # a ramp of any length is as likely as another
@@ -221,7 +221,7 @@ def opening_moment(
 ) -> Placed:
     """Return when the plates left the faces: their flux changes over a short ramp.
 
-    `sigma` is the error of reading and model. [K] The platen, where known, tells roughly how much flux
+    `sigma` is the error of reading and model. [K] The platen, where known, shows roughly how much flux
     there was to lose (`_CLOSED_W_M2K`); that helps where a single scan follows the opening.
     """
     sizes = []
@@ -320,7 +320,7 @@ class FaceHistory:
 def place_moment(
     kind: PressEventKind, faces: FaceHistory, noticed: float, after: float, lag: Array | None
 ) -> Placed | None:
-    """Place an event by the faces around the scan it was noticed at; None where they cannot tell.
+    """Place an event by the faces around the scan it was noticed at; None where they cannot show it.
 
     Rows before `after` belong to an earlier event. [s]
     """

@@ -73,7 +73,7 @@ _PER_N_CM2 = {"N/cm2": 1.0, "kPa": 10.0, "bar": 0.1, "MPa": 0.01}
 
 
 class Pressure(Table):
-    """``press.pressure``: a channel whose pressure tells whether the press is closed."""
+    """``press.pressure``: a channel whose pressure shows whether the press is closed."""
 
     column: str = Field(min_length=1)
     closed_above: Positive
@@ -172,7 +172,7 @@ class Load(Table):
     reference: Positive | None = None
     """Load at which the contact's coefficient holds, in the column's unit.
 
-    None: the run's own median, which cannot tell runs of different steady loads apart.
+    None: the run's own median, which is blind to how the steady loads of runs differ.
     """
     unit: Literal["N/cm2", "kPa", "bar", "MPa"] | None = None
     """Of the column; needed only where a program gives the pressure instead of a run."""
@@ -361,7 +361,7 @@ class Press(Table):
 
     @property
     def load_references(self) -> dict[int, tuple[str, float]]:
-        """By contact its load's column and reference; without a reference no single scan tells the share of it."""
+        """By contact its load's column and reference; without a reference no single scan gives the share of it."""
         loads = {m: contact.load for m, contact in enumerate(self.contact) if contact.load is not None}
         return {m: (load.column, load.reference) for m, load in loads.items() if load.reference is not None}
 
@@ -427,8 +427,8 @@ class Press(Table):
             self._check_place(f"sensor.{i}.at", sensor.at)
         if self.core is not None:
             self._check_place("core.at", self.core.at)
-        if said := self.misnamed_wire:
-            raise ValueError(said)
+        if mistake := self.misnamed_wire:
+            raise ValueError(mistake)
         if self.initial.kind == "uniform" and self.initial.temperature_C is None and not self.panel_layers:
             raise ValueError(_of("initial.kind", "uniform", say("press-initial-needs")))
         return self
@@ -510,8 +510,8 @@ def read_press(path: Path) -> Press:
     try:
         text = text_in(path)
     except (OSError, UnicodeDecodeError) as error:
-        said = say("file-cannot-read", what=say("file-of-press"), reason=reason_of(error))
-        raise InputError(at(path, said)) from error
+        problem = say("file-cannot-read", what=say("file-of-press"), reason=reason_of(error))
+        raise InputError(at(path, problem)) from error
     return parse_press(text, str(path))
 
 
@@ -538,8 +538,8 @@ def overridden(press: Press, header: Mapping[str, Any], place: object) -> Press:
         try:
             _set(tree, key.removesuffix(SD).split("."), value, SD if key.endswith(SD) else "")
         except (KeyError, IndexError, ValueError, TypeError) as error:
-            said = say("header-no-such-place", key=key)
-            raise InputError(at(place, said)) from error
+            problem = say("header-no-such-place", key=key)
+            raise InputError(at(place, problem)) from error
     try:
         used = Press.model_validate(tree | {"coefficients": {}, "priors": {}}).coefficient_names
         for table in ("coefficients", "priors"):
@@ -548,8 +548,8 @@ def overridden(press: Press, header: Mapping[str, Any], place: object) -> Press:
             tree[table] = {name: x for name, x in tree.get(table, {}).items() if name in used or name in given}
         return Press.model_validate(tree)
     except ValidationError as error:
-        said = say("header-override", what=explained(error, Press))
-        raise InputError(at(place, said)) from error
+        problem = say("header-override", what=explained(error, Press))
+        raise InputError(at(place, problem)) from error
 
 
 def _set(tree: Any, keys: list[str], value: Any, ending: str = "") -> None:

@@ -213,6 +213,6 @@ def read_resin(path: Path) -> Resin:
     try:
         text = text_in(path)
     except (OSError, UnicodeDecodeError) as error:
-        said = say("file-cannot-read", what=say("file-of-resin"), reason=reason_of(error))
-        raise InputError(at(path, said)) from error
+        problem = say("file-cannot-read", what=say("file-of-resin"), reason=reason_of(error))
+        raise InputError(at(path, problem)) from error
     return parse_resin(text, str(path))

@@ -1,4 +1,4 @@
-"""What a wire tells of the press: a limit switch, or a pressure channel with two thresholds.
+"""What a wire shows of the press: a limit switch, or a pressure channel with two thresholds.
 
 Both go before the temperatures, the switch before the pressure, scan by scan: where a wire says nothing
 (its logger is silent), the next one decides. A contact that bounces counts from its first touch. The press
@@ -23,7 +23,7 @@ CLOSED = "closed"
 # Numbers without another source were set by hand, 2026-11.
 
 SILENT_S = 5.0
-"""What happens while a wire says nothing for longer is told by the temperatures. [s]"""
+"""What happens while a wire says nothing for longer is taken from the temperatures. [s]"""
 _BOUNCE_S = 1.0
 """A change undone sooner is a contact that bounces: a press takes 0.2 to 1 s to close. [s]"""
 
@@ -34,10 +34,10 @@ class Wires:
     def __init__(self, table: PressTable) -> None:
         self.switches = tuple(dict.fromkeys((table.limit_switch, CLOSED)))
         self.pressure = table.pressure
-        self.told_by = EventSource.LIMIT_SWITCH
+        self.source = EventSource.LIMIT_SWITCH
         """Which wire spoke last."""
         self._pressed: bool | None = None
-        self._told: bool | None = None
+        self._closed: bool | None = None
         self._changed_s = -math.inf
 
     @property
@@ -53,26 +53,26 @@ class Wires:
     def read(self, time_s: float, values: Mapping[str, float]) -> bool | None:
         """Return whether a scan says closed; None where no wire has a value."""
         closed = self._read(values)
-        if closed is None or closed is self._told:
+        if closed is None or closed is self._closed:
             return closed
         if time_s - self._changed_s < _BOUNCE_S:
-            return self._told
-        self._changed_s = -math.inf if self._told is None else time_s
-        self._told = closed
+            return self._closed
+        self._changed_s = -math.inf if self._closed is None else time_s
+        self._closed = closed
         return closed
 
     def _read(self, values: Mapping[str, float]) -> bool | None:
         for name in self.switches:
             value = values.get(name, math.nan)
             if value == value:
-                self.told_by = EventSource.LIMIT_SWITCH
+                self.source = EventSource.LIMIT_SWITCH
                 return bool(value > 0.5)
         if self.pressure is None:
             return None
         value = values.get(self.pressure.column, math.nan)
         if value != value:
             return None
-        self.told_by = EventSource.PRESSURE_CHANNEL
+        self.source = EventSource.PRESSURE_CHANNEL
         limit = self.pressure.closed_above if not self._pressed else self.pressure.lower
         self._pressed = bool(value > limit)
         return self._pressed
@@ -90,8 +90,8 @@ def closed_of(run: Run, press: Press) -> tuple[Array, EventSource] | None:
     switches = {name: _without_blips(run.time_s, run.columns[name]) for name in names if name in wires.switches}
     rows = zip(*(switches.get(name, run.columns[name]).tolist() for name in names), strict=True)
     times = run.time_s.tolist()
-    told = [wires.read(t, dict(zip(names, row, strict=True))) for t, row in zip(times, rows, strict=True)]
-    return np.array([math.nan if x is None else float(x) for x in told]), wires.told_by
+    states = [wires.read(t, dict(zip(names, row, strict=True))) for t, row in zip(times, rows, strict=True)]
+    return np.array([math.nan if x is None else float(x) for x in states]), wires.source
 
 
 def _without_blips(times: Array, column: Array) -> Array:

@@ -1,4 +1,4 @@
-"""``kerntemp.toml``: what the services of one machine are told, checked at start, unknown keys refused.
+"""``kerntemp.toml``: the settings of one machine's services, checked at start, unknown keys refused.
 
 ::
 
@@ -77,8 +77,8 @@ class StoreSettings(_Table):
             raise ValueError(say("config-no-archive", key=min(given)))
         last = self.pressings_only_after_days
         if last is not None and last <= self.archive_after_days:
-            said = {"days": last, "archived": self.archive_after_days}
-            raise ValueError(say("config-pressings-only-too-early", **said))
+            ages = {"days": last, "archived": self.archive_after_days}
+            raise ValueError(say("config-pressings-only-too-early", **ages))
         return self
 
 
@@ -302,8 +302,8 @@ def press_of(settings: PressSettings) -> Press:
         return press
     table = press.press.model_copy(update={"limit_switch": settings.limit_switch})
     press = press.model_copy(update={"press": table})
-    if said := press.misnamed_wire:
-        raise InputError(at(settings.file, said))
+    if mistake := press.misnamed_wire:
+        raise InputError(at(settings.file, mistake))
     return press
 
 

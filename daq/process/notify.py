@@ -1,4 +1,4 @@
-"""Tell systemd that a service is ready, alive or about to end: its notify protocol, in a few lines.
+"""Inform systemd that a service is ready, alive or about to end: its notify protocol, in a few lines.
 
 Without systemd (no ``NOTIFY_SOCKET`` in the environment) every call does nothing. Written here, because the
 packages on offer are a dead one and ones that need C headers (2026-11-21).

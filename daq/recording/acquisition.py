@@ -37,13 +37,13 @@ _FIRST_TICK_S = 0.05
 _WAIT_PERIODS = 0.85
 """Answers are awaited for so many scan periods; the rest is for writing them. [periods]"""
 _APART_S = 1e-4
-"""Scans are at least so far apart, whatever the clock said meanwhile: no two have one time. [s]"""
+"""Scans are at least so far apart, whatever the clock showed meanwhile: no two have one time. [s]"""
 _LOST_AFTER_S = 3.0
 """A logger without an answer this long is called lost. [s]"""
 
 
 def nine_digits(value: float) -> float:
-    """Return a value to the nine digits that tell every 32-bit float apart (IEEE 754), more than a logger counts.
+    """Return a value to the nine digits that distinguish every 32-bit float (IEEE 754), more than a logger counts.
 
     A device's 363 tenths are 36.3 then and not the 36.300000000000004 of a product, which the store would keep.
 

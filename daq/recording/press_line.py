@@ -39,9 +39,9 @@ _STALLED_AFTER_S = 5.0
 """No scan for so long beside the schedule's own pace is a standstill. [s]"""
 _STUCK_AFTER_S = 20.0
 """Longer than any wait for devices on one bus: a driver that is still in its read hangs. [s]"""
-_DISAGREEMENT_SAID_EVERY_S = 600.0
+_DISAGREEMENT_EVERY_S = 600.0
 """A limit switch that contradicts the temperatures is journalled at once, then at most this often. [s]"""
-LEFT_OUT_SAID_EVERY_S = 60.0
+LEFT_OUT_EVERY_S = 60.0
 """Scans left out are journalled at once, then at most this often. [s of the press]"""
 _ENDS_S, _SCANNER_ENDS_S = 10.0, 5.0
 """The end of a press waits so long for its thread and its loggers' at most; systemd ends what hangs. [s]"""
@@ -114,7 +114,7 @@ class PressLine:
         self._newest: Scan | None = None
         self._left_out: list[tuple[float, int]] = []
         """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
-        self._left_out_said_s = self._disagreed_s = -math.inf
+        self._left_out_journalled_s = self._disagreed_s = -math.inf
         self._gone_by: deque[tuple[float, int]] = deque(maxlen=1000)
         """When ticks went by lately, and how many. [s]"""
         self._fresh_s = time.monotonic()
@@ -235,8 +235,8 @@ class PressLine:
         self._watch_schedule(scan)
         usable = self._usable(scan)
         events = self._detector.update(scan.monotonic_s, usable)
-        told = bool(events) or self._detector.closed_by_wire is not None
-        if self._late.look(scan.monotonic_s, usable, told=told):
+        known = bool(events) or self._detector.closed_by_wire is not None
+        if self._late.look(scan.monotonic_s, usable, known=known):
             self._journal("warning", say("scans-begin-late", press=self.settings.name), self.settings.name)
         self._watch_wires(scan)
         scan = self._with_closed(scan)
@@ -246,7 +246,7 @@ class PressLine:
             self._outbox.put(batch)
         self._handed_over = scan.number
         for event in events:
-            self._tell(event)
+            self._log(event)
 
     def _bare(self, scan: Scan) -> Scan:
         """Return a scan without what is worked out of it."""
@@ -254,7 +254,7 @@ class PressLine:
         values, qualities = (math.nan,) * lacking, (Quality.MISSING,) * lacking
         return replace(scan, values=(*scan.values, *values), qualities=(*scan.qualities, *qualities))
 
-    def _tell(self, event: PressEvent) -> None:
+    def _log(self, event: PressEvent) -> None:
         run = self._keeper.open_run
         LOG.info("press %s: %s%s", self.settings.name, event.kind.value, f" (run {run})" if run else "")
 
@@ -264,25 +264,25 @@ class PressLine:
         return {channel.name: value if quality.usable else math.nan for channel, value, quality in columns}
 
     def _with_closed(self, scan: Scan) -> Scan:
-        """Add the column ``closed``, where a wire of another name or kind tells it."""
+        """Add the column ``closed``, where a wire of another name or kind shows it."""
         if len(self._key.channels) == len(scan.values):
             return scan
         columns, closed = self._detector.wires.columns, self._detector.closed_by_wire
         named = zip(self._key.channels, scan.qualities, strict=False)
-        told = [quality for channel, quality in named if channel.name in columns]
-        qualities = [quality for quality in told if quality.usable] or told
+        qualities = [quality for channel, quality in named if channel.name in columns]
+        qualities = [quality for quality in qualities if quality.usable] or qualities
         value = math.nan if closed is None or not qualities[0].usable else float(closed)
         return replace(scan, values=(*scan.values, value), qualities=(*scan.qualities, qualities[0]))
 
     def _watch_wires(self, scan: Scan) -> None:
         """Journal that wire and temperatures contradict each other, now and then while they do."""
         disagreement = self._detector.disagreement
-        if disagreement is None or scan.monotonic_s - self._disagreed_s < _DISAGREEMENT_SAID_EVERY_S:
+        if disagreement is None or scan.monotonic_s - self._disagreed_s < _DISAGREEMENT_EVERY_S:
             return
         self._disagreed_s = scan.monotonic_s
         name = self.settings.name
-        said = say("of-press", press=name, what=disagreement)
-        self._journal("warning", said, name, scan=scan.number, run=self._keeper.open_run)
+        message = say("of-press", press=name, what=disagreement)
+        self._journal("warning", message, name, scan=scan.number, run=self._keeper.open_run)
 
     def _watch_clock(self, scan: Scan) -> None:
         step = self._clock.step(scan)
@@ -304,8 +304,8 @@ class PressLine:
         if self._scanner.left_out:
             self._left_out.append((scan.monotonic_s, self._scanner.left_out))
             self._gone_by.append((time.monotonic(), self._scanner.left_out))
-        if self._left_out and scan.monotonic_s - self._left_out_said_s > LEFT_OUT_SAID_EVERY_S:
-            self._left_out_said_s = scan.monotonic_s
+        if self._left_out and scan.monotonic_s - self._left_out_journalled_s > LEFT_OUT_EVERY_S:
+            self._left_out_journalled_s = scan.monotonic_s
             self._journal_left_out()
 
     def _journal_left_out(self) -> None:
@@ -313,8 +313,8 @@ class PressLine:
             return
         left_out, self._left_out = self._left_out, []
         count = sum(count for _, count in left_out)
-        said = say("scans-left-out", press=self.settings.name, count=count)
-        self._journal("info", said, self.settings.name, before_monotonic_s=left_out)
+        message = say("scans-left-out", press=self.settings.name, count=count)
+        self._journal("info", message, self.settings.name, before_monotonic_s=left_out)
 
     def _of_logger(self, level: Level, message: Message, detail: Mapping[str, Any]) -> None:
         name = self.settings.name
@@ -338,18 +338,18 @@ class PressLine:
     def problems(self) -> list[Message]:
         """Return what is wrong now."""
         name = self.settings.name
-        said = [
+        problems = [
             say("logger-problem", press=name, logger=x.name, why=x.trouble)
             for x in self._scanner.loggers
             if x.lost and x.trouble
         ]
         if self._detector.disagreement:
-            said.append(say("problem-of-press", press=name, what=self._detector.disagreement))
+            problems.append(say("problem-of-press", press=name, what=self._detector.disagreement))
         since_s = time.monotonic() - _LATELY_S
         gone_by = sum(count for at_s, count in tuple(self._gone_by) if at_s > since_s)
         if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * _LATELY_S:
-            said.append(say("scans-left-out-lately", press=name, count=gone_by))
-        return said
+            problems.append(say("scans-left-out-lately", press=name, count=gone_by))
+        return problems
 
     def report(self) -> dict[str, Any]:
         """Return what the heartbeat says about this press."""

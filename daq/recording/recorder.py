@@ -7,7 +7,7 @@ done; `record` then calls `acknowledged`. On start, runs that a crash left open 
 What the operator reads on standard error and in the journal, once for each change of state:
 
 =============================  ==================================================================================
-what happened                  what is said (level), and what happens meanwhile
+what happened                  message (level), and what happens meanwhile
 =============================  ==================================================================================
 server away, also at start     ``store ...: connection refused; check that the database server runs and is
                                reachable; scans wait in .../kerntemp-buffer.sqlite, enough for N h`` (alarm);
@@ -211,28 +211,28 @@ class _Recording:
 
     def watch(self, stop: threading.Event) -> None:
         """Until stopped: signs of life, changes of the configuration; what takes longer has its own thread."""
-        watch, told = _ConfigWatch(self.config, self.journal), None
+        watch, reported = _ConfigWatch(self.config, self.journal), None
         while not stop.wait(BEAT_S):
             try:
                 self._give_sign_of_life()
                 watch.look(self.lines)
-                told = None
+                reported = None
             except Exception as error:  # noqa: BLE001 - who watches must not die of what it sees
                 fault = say("thread-failed", thread="watch", why=unexpected(error))
-                if fault != told:
+                if fault != reported:
                     self.journal("alarm", fault)
-                told = fault
+                reported = fault
 
     def _give_sign_of_life(self) -> None:
         """Feed the watchdog only while presses have fresh scans, drivers come back, writer and page watch work.
 
-        Thinning that stands still is told; it is no reason to stop recording.
+        Thinning that stands still is reported; it is no reason to stop recording.
         """
         found = [*(line.stalled() for line in self.lines), self.outbox.stalled()]
         found += [self.pages.stalled()] if self.pages is not None else []
         stalled = [why for why in found if why is not None]
-        told = stalled if (slow := self.thinning.stalled()) is None else [*stalled, slow]
-        status = _status(self.lines, self.outbox, "running", told)
+        standing = stalled if (slow := self.thinning.stalled()) is None else [*stalled, slow]
+        status = _status(self.lines, self.outbox, "running", standing)
         self.outbox.beat(self.store.beats_as(PROCESS), status)
         if stalled:
             self.notifier.status("; ".join(map(str, stalled)))
@@ -257,24 +257,24 @@ def _thin(store: Store, keep_days: float, stop: threading.Event, steps: Steps) -
 
 
 class PageWatch:
-    """Reads the store's file through now and then, and tells when its pages are damaged."""
+    """Reads the store's file through now and then, and reports when its pages are damaged."""
 
     def __init__(self, path: Path, journal: Journal) -> None:
         self._path, self._journal = path, journal
-        self._told = ""
+        self._damage = ""
         self.steps = Steps("pages")
 
     def work(self, stop: threading.Event) -> None:
-        """Until stopped: read the file and tell."""
+        """Until stopped: read the file and report damage."""
         pause_s = _PAGES_S
         while not stop.wait(pause_s):
             began = time.monotonic()
             with self.steps.step(_READING_S + _size_of(self._path) / _READING_BYTES_PER_S):
                 found = damage_of(self._path)
             pause_s = max(_PAGES_S, _REST * (time.monotonic() - began))
-            if found and found != self._told:
+            if found and found != self._damage:
                 self._journal("alarm", say("store-damaged", store=str(self._path), error=found))
-            self._told = found
+            self._damage = found
 
     def stalled(self) -> Message | None:
         """Return that a reading does not come to its end; None while it does."""
@@ -296,7 +296,7 @@ class _ConfigWatch:
         self._seen = _changed(config)
 
     def look(self, lines: Sequence[PressLine]) -> None:
-        """Hand a changed configuration to the presses; a wrong one is told once and left."""
+        """Hand a changed configuration to the presses; a wrong one is reported once and left."""
         if self._config.path is None or (now := _changed(self._config)) == self._seen:
             return
         self._seen = now

@@ -26,9 +26,9 @@ _SETTLED_S, _SETTLED_SCANS = 3.0, 3
 
 
 _SPARE_S = 60.0
-"""Scans are kept for so long beyond a run: what happened is told later, and runs follow each other. [s]"""
+"""Scans are kept for so long beyond a run: what happened is known later, and runs follow each other. [s]"""
 UNSEEN_S = 35.0
-"""A run whose panel no sensor showed coming, since none was heard or only the closing told of it, begins this long
+"""A run whose panel no sensor showed coming, since none was read or only the closing showed it, begins this long
 before: longer than a panel usually waits in the open press. [s]"""
 
 
@@ -49,7 +49,7 @@ class RunNames:
 
     The store gives the next free one where a name is taken: the clock was set back, a run was imported.
 
-    Where nobody could tell the next free number (the store is away), runs are named by their time of day:
+    Where nobody knows the next free number (the store is away), runs are named by their time of day:
     ``press-2026-03-04-t071523``.
     """
 

@@ -64,7 +64,7 @@ class Plan:
     """Size of drawn effects: 0.5 halves them."""
     eased: tuple[float, float] | None = None
     """From where to where the share of pressure is drawn that is left from the middle of a pressing on, as presses
-    ease off before they open; the column ``load`` tells. None: the pressure stays, and no column tells it."""
+    ease off before they open; the column ``load`` shows it. None: the pressure stays, and no column shows it."""
     rim_contrast: float = 0.0
     """1: rim sensors see the full difference of a rim loss; 0: none."""
     nuisances: Nuisances = field(default_factory=Nuisances)

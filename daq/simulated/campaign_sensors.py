@@ -35,7 +35,7 @@ RIM_SHAPE = (0.65, 0.8, 0.8, 0.8, 0.8, 1.575, 1.575)
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Imperfections every real measuring chain has. Standard deviations unless said otherwise."""
+    """Imperfections every real measuring chain has. Standard deviations unless stated otherwise."""
 
     offset_K: float = 0.3
     """Of each panel channel, new in every run."""
@@ -78,7 +78,7 @@ class Nuisances:
 
 @dataclass(frozen=True)
 class Fault:
-    """One channel that does not tell the truth."""
+    """One channel that reads something false."""
 
     kind: str
     """``loose``, ``drifting`` or ``swapped``."""

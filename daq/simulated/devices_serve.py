@@ -52,8 +52,8 @@ def main(arguments: Sequence[str] | None = None, stop: threading.Event | None = 
     given = parser.parse_args(arguments)
     inputs = kind_of(given.profile).inputs
     if any(not 0 <= k < inputs for k in given.open):
-        said = say("simulated-no-input", given=str(given.open), profile=given.profile, last=inputs - 1)
-        raise InputError(said)
+        problem = say("simulated-no-input", given=str(given.open), profile=given.profile, last=inputs - 1)
+        raise InputError(problem)
     switches = Switches(open_inputs=set(given.open))
     with simulated(
         given.profile,

@@ -3,7 +3,7 @@
 A whole cycle, from one panel's removal to the next one's, is solved at once, in a thread of its own and
 one cycle ahead; asking for temperatures then only interpolates, so the press costs next to nothing at any
 speed and never keeps a logger waiting, once the first cycle was asked for and solved. Two objects with the
-same settings and seed, told the same of their panels, agree at all times: a summary can ask a second one for the
+same settings and seed, given the same panels, agree at all times: a summary can ask a second one for the
 truth. Any thread may ask.
 """
 
@@ -33,7 +33,7 @@ PANEL = "panel."
 PRESSURE = "setting.pressure_N_cm2"
 MOISTURE = "panel.moisture_percent"
 USUAL_MOISTURE_PERCENT = 8.0
-"""Of panels nobody said anything of; at it, hidden evaporation has its usual size. [%]"""
+"""Of panels without a stated one; at it, hidden evaporation has its usual size. [%]"""
 _QUIET = replace(
     Nuisances(), quantum_K=0.0, skew_s=0.0, jitter=0.0, missing=0.0, burst_chance=0.0, loose_chance=0.0
 )
@@ -112,8 +112,8 @@ class VirtualPress:
         self._worker = ThreadPoolExecutor(1, "virtual-press")
         self._cycles: deque[Cycle] = deque(maxlen=self.settings.keep)
         self._next: Future[Cycle] | None = None
-        self._said: list[tuple[int, Mapping[str, Any]]] = [(1, {})]
-        """From which pressing on the panels are said to be what, by rising number."""
+        self._headers: list[tuple[int, Mapping[str, Any]]] = [(1, {})]
+        """From which pressing on which header keys are stated of the panels, by rising number."""
 
     @property
     def panel(self) -> Panel:
@@ -148,14 +148,14 @@ class VirtualPress:
         cycle = self.cycle(at_s)
         return cycle.number if at_s < cycle.moments.inserted_s else cycle.number + 1
 
-    def press_as_said(self, number: int, header: Mapping[str, Any]) -> None:
+    def set_panels(self, number: int, header: Mapping[str, Any]) -> None:
         """From a pressing on, lay in panels such as header keys say; what they do not say is the press's own.
 
         What a panel is, and the pressure, are obeyed; other keys stand in the cycle's header and change nothing. A
         pressing from there on that is solved already is solved anew, and comes in its place once that is done.
         """
         with self._lock:
-            self._said = [*(said for said in self._said if said[0] < number), (number, dict(header))]
+            self._headers = [*(entry for entry in self._headers if entry[0] < number), (number, dict(header))]
             earlier = [cycle for cycle in self._cycles if cycle.number < number]
             ahead = self._cycles[-1].number + 1 if self._cycles else 1
             if self._next is None or number > ahead:
@@ -198,17 +198,17 @@ class VirtualPress:
 
     def _solve(self, before: Cycle | None) -> Future[Cycle]:
         number = 1 if before is None else before.number + 1
-        said = next(header for first, header in reversed(self._said) if first <= number)
-        return self._worker.submit(self._cycle, before, said)
+        stated = next(header for first, header in reversed(self._headers) if first <= number)
+        return self._worker.submit(self._cycle, before, stated)
 
-    def _cycle(self, before: Cycle | None, said: Mapping[str, Any]) -> Cycle:
+    def _cycle(self, before: Cycle | None, stated: Mapping[str, Any]) -> Cycle:
         from daq.simulated.campaign_places import solve_places  # compiled: not for who only asks what press it is
 
         number = 1 if before is None else before.number + 1
         start = 0.0 if before is None else before.end
         rng = np.random.default_rng([self._seed, 8, number])
         hidden = np.random.default_rng([self._seed, 9, number])
-        pressing = self._draw(before, said, rng)
+        pressing = self._draw(before, stated, rng)
         run_effects = {n: for_run(n, p, hidden) for n, p in self.effects.items()}
         if water := run_effects.get("moisture_evaporation"):
             water["moisture_percent"] *= (pressing.panel.moisture_percent or 0.0) / USUAL_MOISTURE_PERCENT
@@ -228,7 +228,7 @@ class VirtualPress:
             start=start,
             moments=pressing.moments(start, start + pressing.end),
             pressing=pressing,
-            header={"run": f"demo-{number:03d}", **self._header(said, pressing, rng)},
+            header={"run": f"demo-{number:03d}", **self._header(stated, pressing, rng)},
             times=times,
             readings={name: readings[name] for name in CHANNELS},
             core_C=np.where(with_panel, places.core(times), np.nan),
@@ -241,7 +241,7 @@ class VirtualPress:
             ),
         )
 
-    def _draw(self, before: Cycle | None, said: Mapping[str, Any], rng: np.random.Generator) -> Pressing:
+    def _draw(self, before: Cycle | None, stated: Mapping[str, Any], rng: np.random.Generator) -> Pressing:
         s = self.settings
         inserted = float(rng.uniform(*s.between_s))
         if before is None and s.first_panel_s is not None:
@@ -254,7 +254,7 @@ class VirtualPress:
             platens = _continued(platens[0], before.platens_end[0]), _continued(platens[1], before.platens_end[1])
         k, c = np.exp(s.panel_spread * rng.standard_normal(2))
         start = self.ambient + float(rng.normal(0.0, 0.7))
-        panel = panel_of(Run("", self._panel_header(said, start), np.zeros(0), {}))
+        panel = panel_of(Run("", self._panel_header(stated, start), np.zeros(0), {}))
         spread = {
             n: float(h * np.exp(s.coefficient_spread * rng.standard_normal())) for n, h in s.coefficients.items()
         }
@@ -271,28 +271,28 @@ class VirtualPress:
             closing_ramp=float(rng.uniform(0.2, 1.0)),
             opening_ramp=float(rng.uniform(0.2, 0.5)),
             coefficients=spread,
-            pressure=float(said.get(PRESSURE, rng.choice([280.0, 320.0, 350.0, 380.0, 400.0]))),
+            pressure=float(stated.get(PRESSURE, rng.choice([280.0, 320.0, 350.0, 380.0, 400.0]))),
         )
 
-    def _panel_header(self, said: Mapping[str, Any], start_C: float) -> dict[str, Any]:
-        """Return the header keys of a panel: what is said of it, and for the rest the press's own panels."""
+    def _panel_header(self, stated: Mapping[str, Any], start_C: float) -> dict[str, Any]:
+        """Return the header keys of a panel: what is stated of it, and for the rest the press's own panels."""
         own = {
             "panel.material": "MDF",
             "panel.thickness_mm": self.settings.thickness_mm,
             MOISTURE: USUAL_MOISTURE_PERCENT,
             "panel.initial_temperature_C": start_C,
         }
-        return own | {key: value for key, value in said.items() if key.startswith(PANEL)}
+        return own | {key: value for key, value in stated.items() if key.startswith(PANEL)}
 
-    def _header(self, said: Mapping[str, Any], pressing: Pressing, rng: np.random.Generator) -> dict[str, Any]:
+    def _header(self, stated: Mapping[str, Any], pressing: Pressing, rng: np.random.Generator) -> dict[str, Any]:
         start = pressing.panel.initial_temperature + rng.normal(0.0, self.settings.nuisances.start_error_K)
         return {
-            **self._panel_header(said, round(float(start), 2)),
+            **self._panel_header(stated, round(float(start), 2)),
             "ambient.temperature_C": round(self.ambient, 1),
             "setting.platen_temperature_C": self.settings.setpoint_C,
             "setting.pressure_N_cm2": pressing.pressure,
             "setting.press_time_s": round(pressing.opened - pressing.closed, 1),
-            **said,
+            **stated,
         }
 
     def _curves(

@@ -53,18 +53,18 @@ def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Seque
     Parameters
     ----------
     ways
-        How this server can tell people; a new alarm gets one delivery for each way of every server.
+        How this server can inform people; a new alarm gets one delivery for each way of every server.
     """
     at = unix_of(now)
     position = _turn(connection)
     ways = _ways(connection, ways, at)
     known = set(connection.execute(select(ALARM.c.key).where(ALARM.c.ended_unix_s.is_(None))).scalars())
-    told = {alarm.key: alarm for alarm in standing}
-    if known & set(told):
-        connection.execute(update(ALARM).where(_stands(known & set(told))).values(seen_unix_s=at))
+    by_key = {alarm.key: alarm for alarm in standing}
+    if known & set(by_key):
+        connection.execute(update(ALARM).where(_stands(known & set(by_key))).values(seen_unix_s=at))
     over = (ALARM.c.ended_unix_s.is_(None), ALARM.c.seen_unix_s < at - CALM_S)
     connection.execute(update(ALARM).where(*over).values(ended_unix_s=ALARM.c.seen_unix_s))
-    new = [_raise(connection, alarm, ways, at) for key, alarm in told.items() if key not in known]
+    new = [_raise(connection, alarm, ways, at) for key, alarm in by_key.items() if key not in known]
     return len(new) + _take_up_journal(connection, position, ways)
 
 

@@ -51,7 +51,7 @@ from daq.words import Message, say, spoken
 _NUMBER_BYTES = 8
 """Of a number in a row; an engine may take less."""
 _NAME_LENGTH = 80
-"""Signs of a run's name in its file's name, which is told apart by the run's number. (By hand, 2026-11)"""
+"""Signs of a run's name in its file's name, which is made distinct by the run's number. (By hand, 2026-11)"""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def use_archive(database: Database, folder: Path) -> None:
 def runs_to_archive(connection: Connection, press: str, before: datetime) -> list[str]:
     """Return the runs of a press that were over before an instant and have their scans in the store, oldest first.
 
-    A run of which nobody said when it was has no age and stays, and so does the newest one that a press recorded:
+    A run without a known time has no age and stays, and so does the newest one that a press recorded:
     the live sensor sees by it how far it has come.
     """
     own = RUN.alias()
@@ -130,18 +130,18 @@ def archive_run(database: Database, run: str) -> Moved:
         row = run_row(connection, run)
         scans = scans_of(connection, row)
         channels = {key: [c.name for c in layout_channels(connection, key)] for key in scans.values}
-        said = _estimates(connection, row)
+        estimates = _estimates(connection, row)
         core = run_cores(connection, [run]).get(run)
         folder, header = folder_of(connection), header_for_file(run_record(connection, run))
     file = _file_of(row)
     about = {"press": row.press, "zero_s": row.zero_monotonic_s, "started_unix_s": row.started_unix_s}
     try:
         written = write_archive(folder / file, scans, channels, header, about)
-        beside_it = write_estimates(beside(folder / file), said) if said else None
+        beside_it = write_estimates(beside(folder / file), estimates) if estimates else None
     except OSError as error:
         raise StoreUnavailable(say("archive-not-written", file=str(folder / file), reason=str(error))) from error
     with database.writing() as connection:
-        return _exchange(connection, row, _Taken(file, scans, written, said, beside_it, core))
+        return _exchange(connection, row, _Taken(file, scans, written, estimates, beside_it, core))
 
 
 def _file_of(row: Row[Any]) -> str:
@@ -167,7 +167,7 @@ class _Taken:
     file: str
     scans: StoredScans
     written: Written
-    said: Sequence[EstimateRow]
+    estimates: Sequence[EstimateRow]
     beside_it: Written | None
     core: RunCore | None
 
@@ -202,7 +202,7 @@ def _exchange(connection: Connection, row: Row[Any], taken: _Taken) -> Moved:
     connection.execute(insert(ARCHIVE), {"run": row.run, **taken.columns})
     _count(connection, runs=1, scans=len(taken.scans), bytes=taken.bytes)
     connection.execute(delete(SCAN_REMARK).where(*_in_run(SCAN_REMARK, row)))
-    for table, rows in ((SCAN, len(taken.scans)), (ESTIMATE, len(taken.said))):
+    for table, rows in ((SCAN, len(taken.scans)), (ESTIMATE, len(taken.estimates))):
         if connection.execute(delete(table).where(*_in_run(table, row))).rowcount != rows:
             raise StoreUnavailable(say("archive-run-changed", run=row.run))
     return Moved(len(taken.scans), taken.bytes, freed)
@@ -233,16 +233,16 @@ def check_archive(database: Database, before: datetime, limit: int = 100) -> Che
     with database.reading() as connection:
         folder = folder_of(connection)
         rows = connection.execute(query).all()
-    said = {row.run: _problem_of(folder, row) for row in rows}
+    problems = {row.run: _problem_of(folder, row) for row in rows}
     now = unix_of(datetime.now(UTC))
     with database.writing() as connection:
-        for run, problem in said.items():
+        for run, problem in problems.items():
             found = {"problem": "" if problem is None else problem.code, "checked_unix_s": now}
             connection.execute(update(ARCHIVE).where(ARCHIVE.c.run == run).values(found))
-        mended = [row.run for row in rows if said[row.run] is None and row.problem]
+        mended = [row.run for row in rows if problems[row.run] is None and row.problem]
         tried_in_vain = (UNFITTED.c.run.in_(mended), UNFITTED.c.kind == "unfit")
         connection.execute(delete(UNFITTED).where(*tried_in_vain))
-    fresh = [problem for row in rows if (problem := said[row.run]) is not None and not row.problem]
+    fresh = [problem for row in rows if (problem := problems[row.run]) is not None and not row.problem]
     return Checked(len(rows), tuple(fresh), tuple(mended))
 
 

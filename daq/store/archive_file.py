@@ -34,7 +34,7 @@ class StoredScans:
 
     number: Integers
     unix_s: Array
-    """NaN where nobody said when a run was."""
+    """NaN where a run's time is not known."""
     monotonic_s: Array
     layout: Integers
     values: Mapping[int, Array]
@@ -105,14 +105,14 @@ def _columns_of(
 ) -> Columns:
     """Return the columns as they are written, with what reads them in the metadata."""
     layouts = {str(key): list(channels[key]) for key in scans.values}
-    told = {
+    metadata = {
         "about": dict(about),
         "layouts": layouts,
         "number": int(scans.number[0]) if len(scans) else 0,
         "layout": int(scans.layout[0]) if len(scans) else 0,
         "zero_us": round(MICRO * about.get("zero_s", 0.0)),
     }
-    made = Columns(told=told, header={key: toml_value(value) for key, value in flat_keys(header)})
+    made = Columns(metadata=metadata, header={key: toml_value(value) for key, value in flat_keys(header)})
     _add_times(made, scans)
     for name, values in _by_channel(scans, channels):
         made.add_values(name, values)
@@ -122,7 +122,7 @@ def _columns_of(
 
 def _add_times(made: Columns, scans: StoredScans) -> None:
     seconds = np.rint(scans.monotonic_s * MICRO)
-    zero = made.told["zero_us"]
+    zero = made.metadata["zero_us"]
     if np.array_equal(seconds / MICRO, scans.monotonic_s):
         made.add_decimals(TIME, seconds - zero, TIME_DECIMALS)
     else:
@@ -152,9 +152,9 @@ def _column(channel: str) -> str:
 
 def _add_the_rest(made: Columns, scans: StoredScans) -> None:
     """Add numbers, layouts and texts, where they are not what the metadata says of all scans."""
-    if not np.array_equal(scans.number, made.told["number"] + np.arange(len(scans))):
+    if not np.array_equal(scans.number, made.metadata["number"] + np.arange(len(scans))):
         made.add_counts(_NUMBER, scans.number.astype(float))
-    if (scans.layout != made.told["layout"]).any():
+    if (scans.layout != made.metadata["layout"]).any():
         made.add_counts(_LAYOUT, scans.layout.astype(float))
     faults, remarks = (
         [json.loads(text or "{}") for text in texts] if any(text is not None for text in texts) else []
@@ -173,18 +173,20 @@ def _add_the_rest(made: Columns, scans: StoredScans) -> None:
 def _scans_of(columns: Columns) -> StoredScans:
     if isinstance(columns, FormerColumns):
         return _former_scans(columns)
-    told, count = columns.told, len(columns)
+    metadata, count = columns.metadata, len(columns)
     there = columns.arrays
     if _MONOTONIC in there:
         monotonic_s = columns.plain(_MONOTONIC)
     else:
-        monotonic_s = (columns.counts(TIME) + told["zero_us"]) / MICRO
+        monotonic_s = (columns.counts(TIME) + metadata["zero_us"]) / MICRO
     if _SINCE in there:
         unix_s = (columns.counts(_SINCE) + np.rint(monotonic_s * MICRO)) / MICRO
     else:
         unix_s = columns.plain(_UNIX)
-    number = columns.counts(_NUMBER).astype(np.int64) if _NUMBER in there else told["number"] + np.arange(count)
-    layout = columns.counts(_LAYOUT).astype(np.int64) if _LAYOUT in there else np.full(count, told["layout"])
+    number = (
+        columns.counts(_NUMBER).astype(np.int64) if _NUMBER in there else metadata["number"] + np.arange(count)
+    )
+    layout = columns.counts(_LAYOUT).astype(np.int64) if _LAYOUT in there else np.full(count, metadata["layout"])
     faults, remarks = (columns.texts(name) if name in there else (None,) * count for name in (_FAULTS, _REMARKS))
     values = _by_layout(columns, layout, _column)
     return StoredScans(number, unix_s, monotonic_s, layout, values, faults, remarks)
@@ -193,7 +195,7 @@ def _scans_of(columns: Columns) -> StoredScans:
 def _by_layout(columns: Columns, layout: Integers, column: Callable[[str], str]) -> dict[int, Array]:
     """Return the values of each layout's scans by its channels."""
     found = {}
-    for key, names in columns.told["layouts"].items():
+    for key, names in columns.metadata["layouts"].items():
         chosen = layout == int(key)
         own = [columns.values(column(name))[chosen] for name in names]
         found[int(key)] = np.array(own).T if own else np.empty((int(chosen.sum()), 0))

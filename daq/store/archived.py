@@ -33,7 +33,7 @@ def archived_scans(connection: Connection, run: str) -> StoredScans | None:
 
 
 def archived_estimates(connection: Connection, run: str) -> list[EstimateRow] | None:
-    """Return what the live sensor said of a run as `archived_scans` returns its scans."""
+    """Return the live sensor's estimates of a run as `archived_scans` returns its scans."""
     row = _kept(connection, run)
     if row is None or row.estimates_sha256 is None:  # version 9 of the schema left them in the store
         return None

@@ -106,7 +106,7 @@ class Buffer:
         self.expect(max(len(text) for text in texts))
 
     def oldest(self, limit: int) -> list[tuple[int, WriteBatch | Entry]]:
-        """Return the first items with their row numbers; one that cannot be read is set aside and told."""
+        """Return the first items with their row numbers; one that cannot be read is set aside and reported."""
         self._first_count()
         while self._count:
             rows: list[Row] = self._do(lambda c: c.execute(_OLDEST, (self._handled, limit)).fetchall())
@@ -212,9 +212,9 @@ class Buffer:
         gaps = rows[-1][0] - rows[0][0] + 1 - len(rows) if rows else 0
         lost = max(expected - len(rows), gaps)
         if aside.exists():
-            said = {"file": str(self.path), "aside": str(aside), "error": str(error)}
+            files = {"file": str(self.path), "aside": str(aside), "error": str(error)}
             code = "buffer-damaged" if self._counted else "buffer-damaged-uncounted"
-            self._alarm(say(code, kept=len(rows), lost=lost, **said))
+            self._alarm(say(code, kept=len(rows), lost=lost, **files))
         else:
             self._alarm(say("buffer-gone", file=str(self.path), error=str(error), lost=lost))
 

@@ -1,4 +1,4 @@
-"""The core of finished runs in three numbers each, from what the live sensor said: for lists, search and plots."""
+"""The core of finished runs in three numbers each, from the live estimates: for lists, search and plots."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The engine under the store: URLs, connections, transactions, migrations, and errors a person can act on.
 
-Migrations are numbered SQL files of our own, not alembic (2026-11-21): a number tells an older store from a
+Migrations are numbered SQL files of our own, not alembic (2026-11-21): a number shows an older store beside a
 newer one, so a newer store is refused by name; each file runs in one transaction on both engines; the SQL a
 person finds in the store is the SQL in the file, comments included; nothing here needs autogeneration.
 """
@@ -287,22 +287,22 @@ def statements(script: str, dialect: str) -> list[str]:
     """Split a migration into statements in the engine's own words."""
     for word, meaning in _WORDS[dialect].items():
         script = re.sub(rf"\{{{word} ?([\w.]*)\}}", meaning, script)
-    said = _comments(script) if dialect == "postgresql" else []
+    comments = _comments(script) if dialect == "postgresql" else []
     if dialect == "postgresql":
         script = re.sub(r"--[^\n]*", "", script)
     parts = re.split(r";[ \t]*(?:\n|$)", script)
-    return [part.strip() for part in parts if re.sub(r"--[^\n]*", "", part).strip()] + said
+    return [part.strip() for part in parts if re.sub(r"--[^\n]*", "", part).strip()] + comments
 
 
 def _comments(script: str) -> list[str]:
     """Return what a migration says of its tables, views and columns, as statements: a server keeps no SQL text."""
-    said = []
+    comments = []
     for words, kind, name, body in re.findall(_MADE, script, re.M | re.S):
         about = " ".join(line.removeprefix("--").strip() for line in words.splitlines())
         columns = re.findall(r"^ +(\w+) .*?-- (.+)$", body, re.M) if kind == "TABLE" else []
-        said.append(f"COMMENT ON {kind} {name} IS {_literal(about)}")
-        said += [f"COMMENT ON COLUMN {name}.{column} IS {_literal(text)}" for column, text in columns]
-    return said
+        comments.append(f"COMMENT ON {kind} {name} IS {_literal(about)}")
+        comments += [f"COMMENT ON COLUMN {name}.{column} IS {_literal(text)}" for column, text in columns]
+    return comments
 
 
 def _literal(words: str) -> str:

@@ -1,4 +1,4 @@
-"""What the live sensor said in one run as a file of the archive: the table's rows, value by value."""
+"""The live sensor's estimates of one run as a file of the archive: the table's rows, value by value."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def log(
 
 
 def write_line(connection: Connection, line: Entry) -> int:
-    """Add a line to the journal, of the moment it tells; return its number."""
+    """Add a line to the journal, at its own moment; return its number."""
     row = {
         "unix_s": unix_of(known_utc(line.unix_s)),
         "level": line.level,
@@ -56,11 +56,11 @@ def write_new(connection: Connection, lines: Sequence[Entry]) -> None:
             write_line(connection, line)
 
 
-def note(connection: Connection, press: str, said: str, who: str) -> JournalEntry:
+def note(connection: Connection, press: str, text: str, who: str) -> JournalEntry:
     """Add what somebody noticed, and return its line; of an open run it is a change, too, at the newest scan."""
     run = open_run(connection, press)
     detail = None if run is None else {"run": run.run}
-    number = log(connection, "info", who, say("journal-note", text=said), press, detail)
+    number = log(connection, "info", who, say("journal-note", text=text), press, detail)
     line = _entry(connection.execute(select(EVENT).where(EVENT.c.event_id == number)).one())
     if run is None:
         return line
@@ -69,7 +69,7 @@ def note(connection: Connection, press: str, said: str, who: str) -> JournalEntr
     at_s = max((newest.scalar() or 0.0) - run.zero_monotonic_s, 0.0)
     row = {"run": run.run, "unix_s": unix_of(datetime.now(UTC)), "who": who, "field": f"note {at_s:.1f} s"}
     connection.execute(
-        insert(RUN_CHANGE), {**row, "before_toml": None, "after_toml": header_text({"value": said})}
+        insert(RUN_CHANGE), {**row, "before_toml": None, "after_toml": header_text({"value": text})}
     )
     return line
 
@@ -96,5 +96,5 @@ def journal_after(connection: Connection, after: int, limit: int = 1000) -> tupl
 
 def _entry(r: Row[Any]) -> JournalEntry:
     detail = None if r.detail_json is None else json.loads(r.detail_json)
-    said = spoken(r.message) if r.message_json is None else Message.from_json(json.loads(r.message_json))
-    return JournalEntry(r.event_id, known_utc(r.unix_s), r.level, r.process, r.press, said, detail)
+    message = spoken(r.message) if r.message_json is None else Message.from_json(json.loads(r.message_json))
+    return JournalEntry(r.event_id, known_utc(r.unix_s), r.level, r.process, r.press, message, detail)

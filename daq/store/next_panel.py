@@ -1,7 +1,7 @@
 """What the operator says of the next panels before they are pressed, and the recipes to choose from.
 
 It stays for every pressing until it is changed, as a recipe does; only the start temperature is that of one panel
-and is used once. A run that began before it was said is not touched by it. Each function works in one transaction.
+and is used once. A run that began before is not touched by it. Each function works in one transaction.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ONCE = "panel.initial_temperature_C"
 
 
 def next_panel(connection: Connection, press: str) -> NextPanel | None:
-    """Return what is said of the next panel of a press, None where nothing is."""
+    """Return what is stated of the next panel of a press, None where nothing is."""
     rows = rows_with_damage(connection, select(NEXT_PANEL).where(NEXT_PANEL.c.press == press))
     if not rows:
         return None
@@ -85,18 +85,18 @@ def _header(damaged: Message, text: str, name: str) -> dict[str, Any]:
 def take_next_panel(connection: Connection, press: str, noticed_unix_s: float) -> dict[str, Any]:
     """Return the header keys a run of a press begins with; what holds for one panel is forgotten.
 
-    A panel noticed in the press before they were said is another one: its scans may have waited for the store.
+    A panel noticed in the press before they were stated is another one: its scans may have waited for the store.
     Where they cannot be read any more the run begins without them, and an alarm says so.
     """
     try:
-        said = next_panel(connection, press)
+        stated = next_panel(connection, press)
     except ScansUnreadable as error:
         log(connection, "alarm", PROCESS, spoken(error), press, None)
         return {}
-    if said is None or unix_of(said.utc) > noticed_unix_s:
+    if stated is None or unix_of(stated.utc) > noticed_unix_s:
         return {}
-    lasting = {key: value for key, value in said.header.items() if key != ONCE}
-    if len(lasting) < len(said.header):
+    lasting = {key: value for key, value in stated.header.items() if key != ONCE}
+    if len(lasting) < len(stated.header):
         changed = update(NEXT_PANEL).where(NEXT_PANEL.c.press == press)
         connection.execute(changed.values(header_toml=header_text(lasting)))
-    return {**said.header, **({RECIPE_KEY: said.recipe} if said.recipe else {})}
+    return {**stated.header, **({RECIPE_KEY: stated.recipe} if stated.recipe else {})}

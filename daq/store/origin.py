@@ -1,4 +1,4 @@
-"""How a run was recorded, as its file tells: header keys ``recorded.*`` and ``remark``.
+"""How a run was recorded, as its file states: header keys ``recorded.*`` and ``remark``.
 
 Export writes them and import takes them back, so a run keeps start, end, moments, life and remark on its way
 from one store into another. Files from elsewhere need none of them.
@@ -37,7 +37,7 @@ def header_for_file(run: RunRecord) -> dict[str, Any]:
 
 
 def columns_from_header(header: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return the columns of a run's row that its file tells.
+    """Return the columns of a run's row that its file states.
 
     Raises
     ------

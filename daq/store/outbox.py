@@ -62,7 +62,7 @@ class Outbox:
         self._store = store
         self._journal = journal or (lambda level, message: None)
         self._pending = Pending(partial(self._journal, "alarm"))
-        """Alarms of the buffer, told by the thread."""
+        """Alarms of the buffer, journalled by the thread."""
         self._buffer = None if buffer is None else Buffer(buffer, self._pending.add)
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
@@ -140,7 +140,7 @@ class Outbox:
             self._buffer.expect(len(encode_item(_example(channels))))
 
     def close(self, longest_s: float = 10.0) -> None:
-        """Write what is left, or give up after `longest_s`: what is not written then is told."""
+        """Write what is left, or give up after `longest_s`: what is not written then is reported."""
         self._closed = True
         self._news.set()
         self._thread.join(longest_s)
@@ -163,7 +163,7 @@ class Outbox:
                 self._deliver()
 
     def _take(self) -> None:
-        """Move all that was put to the waiting list, and tell what the buffer went through."""
+        """Move all that was put to the waiting list, and report what the buffer went through."""
         while self._inbox:
             self._waiting.append(self._inbox[0])
             self._inbox.popleft()
@@ -275,7 +275,7 @@ class Outbox:
         self._unsettled += items
 
     def _write_one_of(self, tries: Sequence[WriteBatch | Entry]) -> int:
-        """Write the first of these that the store takes; return how many before it were set aside and told."""
+        """Write the first of these that the store takes; return how many before it were set aside and reported."""
         for refused, item in enumerate(tries):
             try:
                 self._write_together([item])
@@ -294,7 +294,7 @@ class Outbox:
         why = spoken(error) if isinstance(error, InputError) else unexpected(error)
         aside = set_aside(self._aside, item_in_words(item), str(why))
         if isinstance(item, Entry):
-            if item.message.code != "line-set-aside":  # or one that tells of itself would never end
+            if item.message.code != "line-set-aside":  # or one that reports itself would never end
                 details = say("line-set-aside", aside=str(aside))
                 self.put(Entry("alarm", item.process, details, unix_s=item.unix_s))
             return

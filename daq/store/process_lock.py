@@ -44,7 +44,7 @@ def only_user(places: Mapping[Path, Message]) -> Iterator[None]:
     Raises
     ------
     InputError
-        With what is to be said, after `WAIT_S`.
+        With the message, after `WAIT_S`.
     """
     with ExitStack() as held:
         for place, complaint in places.items():
@@ -63,7 +63,7 @@ def only_user_of_file(path: Path, presses: Mapping[str, Message]) -> Iterator[No
     Raises
     ------
     InputError
-        With what is to be said of a press, after `WAIT_S`.
+        With the message about a press, after `WAIT_S`.
     """
     with ExitStack() as held:
         if sys.platform == "linux":

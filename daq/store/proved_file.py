@@ -119,7 +119,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def columns_in(content: bytes, path: Path) -> Columns:
-    """Read a file's bytes; `path` is for what is said of it."""
+    """Read a file's bytes; `path` is for messages about it."""
     try:
         return columns_of(pq.ParquetFile(pa.BufferReader(content)))
     except NewerFormat:

@@ -170,7 +170,7 @@ def ended_runs_after(connection: Connection, press: str, number: int, limit: int
 
 def run_record_of(connection: Connection, row: Row[Any]) -> RunRecord:
     """Return the record of a row of `runs_query`."""
-    header, remark, damage = _said_of(connection, row)
+    header, remark, damage = _header_and_damage(connection, row)
     return RunRecord(
         number=row.run_number,
         run=printable(row.run),
@@ -190,7 +190,7 @@ def run_record_of(connection: Connection, row: Row[Any]) -> RunRecord:
     )
 
 
-def _said_of(connection: Connection, row: Row[Any]) -> tuple[dict[str, Any], str, Message | None]:
+def _header_and_damage(connection: Connection, row: Row[Any]) -> tuple[dict[str, Any], str, Message | None]:
     """Return header and remark of a run, or empty ones and why they cannot be read."""
     try:
         return stored_header(connection, row), row.remark, None

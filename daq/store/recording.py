@@ -137,13 +137,13 @@ def _plain(press: str) -> str:
 
 def _distinct(names: Sequence[str], numbers: Sequence[int], taken: Sequence[str] = ()) -> list[str]:
     """Return names that differ for every engine from one another and those taken; an earlier one stays plain."""
-    seen, told = set(taken), []
+    used, distinct = set(taken), []
     for name, number in zip(names, numbers, strict=True):
         tries = itertools.chain([""], (f"_{number}" + "_" * more for more in itertools.count()))
-        short = next(one for ending in tries if (one := _cut(name, ending)).casefold() not in seen)
-        seen.add(short.casefold())
-        told.append(short)
-    return told
+        short = next(one for ending in tries if (one := _cut(name, ending)).casefold() not in used)
+        used.add(short.casefold())
+        distinct.append(short)
+    return distinct
 
 
 def _cut(name: str, ending: str = "") -> str:
@@ -223,7 +223,7 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
     if name != new.run:
         log(connection, "warning", PROCESS, say("run-renamed", run=new.run, name=name), key.name, None)
     header = {**new.header, **take_next_panel(connection, key.name, noticed_unix_s), "run": name}
-    _tell_doubts(connection, key, name, header)
+    _journal_doubts(connection, key, name, header)
     connection.execute(
         insert(RUN),
         {
@@ -239,7 +239,7 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
     )
 
 
-def _tell_doubts(connection: Connection, key: PressKey, run: str, header: Mapping[str, Any]) -> None:
+def _journal_doubts(connection: Connection, key: PressKey, run: str, header: Mapping[str, Any]) -> None:
     """Journal what is doubtful in the header of a run that begins, and was not in that of the run before."""
     mine = select(RUN.c.run, RUN.c.header_toml, RUN.c.remark).where(RUN.c.press_id == key.press_id)
     before: Mapping[str, Any] = {}
@@ -335,8 +335,8 @@ def _append_event(connection: Connection, key: PressKey, event: PressEvent, numb
     )
     if (same := connection.execute(there).first()) is not None:
         if same.monotonic_s != event.monotonic_s:
-            said = say("event-twice", kind=event.kind.value, scan=number, press=key.name)
-            log(connection, "alarm", PROCESS, said, key.name, {"monotonic_s": event.monotonic_s})
+            message = say("event-twice", kind=event.kind.value, scan=number, press=key.name)
+            log(connection, "alarm", PROCESS, message, key.name, {"monotonic_s": event.monotonic_s})
         return
     before = (
         select(SCAN.c.unix_s)
@@ -411,7 +411,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str = "
     _check_name(run)
     if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
         raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
-    told = columns_from_header(run.header, run.source or run.name)
+    origin = columns_from_header(run.header, run.source or run.name)
     channels = tuple(Channel(name, _unit(name)) for name in run.columns)
     key = register_press(connection, press, channels, press_file, "imported")
     number = key.next_number
@@ -419,9 +419,9 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str = "
     for first in range(0, count, _ROWS_AT_ONCE):
         connection.execute(insert(SCAN), list(_imported_scans(run, first, faults, key)))
     remarks = ({"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in _remarks(run))
-    while told_at := list(itertools.islice(remarks, _ROWS_AT_ONCE)):
-        connection.execute(insert(SCAN_REMARK), told_at)
-    started = told.get("started_unix_s")
+    while rows_at := list(itertools.islice(remarks, _ROWS_AT_ONCE)):
+        connection.execute(insert(SCAN_REMARK), rows_at)
+    started = origin.get("started_unix_s")
     lasted_s = float(run.time_s[-1] - run.time_s[0]) if count else 0.0
     connection.execute(
         insert(RUN),
@@ -435,7 +435,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str = "
             "first_scan": number,
             "last_scan": number + count - 1,
             **_header_columns({k: v for k, v in {**run.header, "run": run.name}.items() if k != REMARK}),
-            **told,
+            **origin,
         },
     )
     return run.name
@@ -470,8 +470,8 @@ def _remarks(run: Run) -> Iterator[tuple[int, str]]:
     """Yield by row what its text columns say, but for qualities that are kept as such."""
     columns = {n: texts for n, texts in run.texts.items() if n != QUALITY or row_faults(run) is None}
     rows = (dict(zip(columns, texts, strict=True)) for texts in zip(*columns.values(), strict=True))
-    said = ({name: text for name, text in row.items() if text} for row in rows)
-    yield from ((i, json.dumps(texts, ensure_ascii=False)) for i, texts in enumerate(said) if texts)
+    texts_of_rows = ({name: text for name, text in row.items() if text} for row in rows)
+    yield from ((i, json.dumps(texts, ensure_ascii=False)) for i, texts in enumerate(texts_of_rows) if texts)
 
 
 def _check_name(run: Run) -> None:

@@ -91,7 +91,7 @@ class RunRecord:
     kind: Literal["recorded", "imported"]
     status: RunStatus
     started_utc: datetime | None
-    """None where nobody said when it was."""
+    """None where it is not known."""
     ended_utc: datetime | None
     first_scan: int
     last_scan: int | None
@@ -129,7 +129,7 @@ class ScanBatch:
 
 @dataclass(frozen=True)
 class StoredEstimate:
-    """What the live sensor said at one scan."""
+    """The live sensor's estimate at one scan."""
 
     number: int
     """The scan it belongs to."""
@@ -303,7 +303,7 @@ class JournalEntry:
 
 @dataclass(frozen=True)
 class RunCore:
-    """What the live sensor said of a run's core, in three numbers; NaN where it said nothing valid."""
+    """The live sensor's estimate of a run's core in three numbers; NaN where none was valid."""
 
     at_opening_celsius: float
     band_at_opening_kelvin: float
@@ -313,7 +313,7 @@ class RunCore:
 
 @dataclass(frozen=True)
 class NextPanel:
-    """What is said of the panels to come at a press."""
+    """What is stated of the panels to come at a press."""
 
     press: str
     utc: datetime
@@ -337,10 +337,10 @@ def in_status(problems: Sequence[Message], else_: Message) -> dict[str, Any]:
 
     ``message`` and ``problems`` are texts; ``message_codes`` and ``problem_codes`` hold `Message.to_json` of each.
     """
-    said = problems or [else_]
+    messages = problems or [else_]
     return {
-        "message": "; ".join(map(str, said)),
-        "message_codes": [one.to_json() for one in said],
+        "message": "; ".join(map(str, messages)),
+        "message_codes": [one.to_json() for one in messages],
         "problems": [str(one) for one in problems],
         "problem_codes": [one.to_json() for one in problems],
     }

@@ -35,7 +35,7 @@ def _now() -> float:
 
 
 def append_estimates(connection: Connection, press: str, estimates: Sequence[StoredEstimate]) -> None:
-    """Write what the live sensor said; a second estimate of a scan replaces the first."""
+    """Write the live sensor's estimates; a second estimate of a scan replaces the first."""
     press_id = recorded_id(connection, press)
     if press_id is None or not estimates:
         return
@@ -108,8 +108,8 @@ def last_scan_followed(connection: Connection, press: str) -> int:
     until = select(RUN.c.last_scan).where(RUN.c.press_id == press_id, RUN.c.first_scan == begun)
     end = min(newest, connection.execute(until).scalar() or newest)
     own = (ESTIMATE.c.press_id == press_id, ESTIMATE.c.number.between(begun, end))
-    said = connection.execute(select(func.count()).where(*own)).scalar_one()
-    return newest if said == end - begun + 1 else int(begun) - 1
+    estimated = connection.execute(select(func.count()).where(*own)).scalar_one()
+    return newest if estimated == end - begun + 1 else int(begun) - 1
 
 
 def estimates_of(connection: Connection, run: str) -> tuple[tuple[float, StoredEstimate], ...]:
@@ -182,7 +182,7 @@ def coefficient_history(
     """Return the coefficients of the newest fit of each run, the run pressed last first; `limit` counts runs.
 
     A cursor is the number of the last run of the page before. Runs that say the same start come as stored, those
-    of which nobody said when they were last.
+    of unknown time last.
     """
     start = func.coalesce(RUN.c.started_unix_s, literal_column("-1.0"))  # as in the index run_by_start
     newest = select(func.max(FIT.c.fit_id)).where(FIT.c.run == RUN.c.run).scalar_subquery()
@@ -207,12 +207,12 @@ def coefficient_history(
         .where(*_of_fits(page))
         .order_by(COEFFICIENT.c.fit_id, COEFFICIENT.c.name)
     ).all()
-    told: dict[int, list[CoefficientRecord]] = {fit: [] for fit in page}
+    by_fit: dict[int, list[CoefficientRecord]] = {fit: [] for fit in page}
     for r in rows:
         values = (nan(r.value_w_m2k), nan(r.sd_w_m2k), nan(r.low_w_m2k), nan(r.high_w_m2k))
         own = CoefficientRecord(r.fit_id, *page[r.fit_id], r.name, *values, bool(r.identifiable), r.model_version)
-        told[r.fit_id].append(own)
-    items = tuple(record for records in told.values() for record in records)
+        by_fit[r.fit_id].append(own)
+    items = tuple(record for records in by_fit.values() for record in records)
     return Page(items, str(found[limit - 1].run_number) if len(found) > limit else None)
 
 

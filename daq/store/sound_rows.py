@@ -24,7 +24,7 @@ from daq.store.records import ScansUnreadable
 from daq.words import Message, say
 
 Whose = Callable[..., Message]
-"""Puts the run or the press before what is said."""
+"""Puts the run or the press before a message."""
 
 _TORN = ("XX001", "XX002")
 """What a PostgreSQL server answers where a page of a table or an index is damaged (its manual, appendix A)."""
@@ -91,8 +91,8 @@ def stored_header(connection: Connection, row: Row[Any]) -> dict[str, Any]:
             raise ValueError("flipped bytes")
         return header_of(row.header_toml)
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
-        said = say("store-header-damaged", store=store_label(connection.engine.url))
-        raise ScansUnreadable(of_run(printable(row.run))(what=said)) from error
+        damage = say("store-header-damaged", store=store_label(connection.engine.url))
+        raise ScansUnreadable(of_run(printable(row.run))(what=damage)) from error
 
 
 def is_sound(text: str) -> bool:
@@ -149,8 +149,8 @@ def _undecodable(error: DBAPIError) -> bool:
 
 
 def _damaged(connection: Connection, whose: Whose, scan: int) -> ScansUnreadable:
-    said = say("store-scan-damaged", scan=scan, store=store_label(connection.engine.url))
-    return ScansUnreadable(whose(what=said))
+    damage = say("store-scan-damaged", scan=scan, store=store_label(connection.engine.url))
+    return ScansUnreadable(whose(what=damage))
 
 
 def _all_damaged(connection: Connection, whose: Whose) -> ScansUnreadable:

@@ -171,9 +171,9 @@ class Store:
         """Return a run as `load_run` does, with what a file carries on: start, life, remark, texts."""
         with self.database.reading() as connection:
             loaded = run_scans.load_run(connection, run, columns, from_s, to_s)
-            said = run_scans.remarks_of(connection, run, from_s, to_s) if columns is None else {}
+            remarks = run_scans.remarks_of(connection, run, from_s, to_s) if columns is None else {}
             header = header_for_file(reading.run_record(connection, run))
-            return replace(loaded, header=header, texts={**loaded.texts, **said})
+            return replace(loaded, header=header, texts={**loaded.texts, **remarks})
 
     # --- live sensor --------------------------------------------------------------------------------
 

@@ -56,7 +56,7 @@ class Sizes:
     bytes: int
     bytes_per_scan: float
     free_bytes: int | None
-    """None for a server elsewhere, or one that does not tell this user where its data are."""
+    """None for a server elsewhere, or one that does not show this user where its data are."""
 
 
 def back_up(database: Database, target: Path) -> Contents:

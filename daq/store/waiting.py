@@ -15,14 +15,14 @@ RETRY_S = 2.0
 
 
 def open_when_ready(url: str | Address, stop: threading.Event, log: logging.Logger) -> Store | None:
-    """Open a store, trying again while it is away; None once `stop` is set. What keeps it away is told once."""
-    said = False
+    """Open a store, trying again while it is away; None once `stop` is set. What keeps it away is logged once."""
+    logged = False
     while not stop.is_set():
         try:
             return open_store(url)
         except StoreUnavailable as error:
-            if not said:
+            if not logged:
                 log.warning("%s", say("store-trying-again", why=spoken(error)))
-                said = True
+                logged = True
         stop.wait(RETRY_S)
     return None

@@ -150,10 +150,8 @@ def decode_item(text: str) -> WriteBatch | Entry:
     tree = json.loads(text)
     if "entry" in tree:
         level, process, message, *rest = tree["entry"]
-        said = (
-            spoken(message) if isinstance(message, str) else Message.from_json(message)
-        )  # older buffers: English
-        return Entry(level, process, said, *rest)
+        english = isinstance(message, str)  # in older buffers
+        return Entry(level, process, spoken(message) if english else Message.from_json(message), *rest)
     press_id, name, layout_id, channels, number = tree["key"]
     begin, end = tree["begin"], tree["end"]
     return WriteBatch(

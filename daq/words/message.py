@@ -33,7 +33,7 @@ fails at more than 28 of them."""
 
 @dataclass(frozen=True)
 class Message:
-    """Something to be said, without its words."""
+    """A text for people, as a code with arguments: words come from the catalogues."""
 
     code: str
     """A message's name in the catalogues, such as ``logger-lost``."""
@@ -81,14 +81,14 @@ def say(code: str, **arguments: Argument) -> Message:
     return Message(code, arguments)
 
 
-def spoken(said: object) -> Message:
+def spoken(reason: object) -> Message:
     """Return what an exception or a text says as a message; a plain text becomes one that shows it as it is."""
-    inner = said.args[0] if isinstance(said, BaseException) and len(said.args) == 1 else said
+    inner = reason.args[0] if isinstance(reason, BaseException) and len(reason.args) == 1 else reason
     return inner if isinstance(inner, Message) else Message("plain-text", {"text": str(inner)})
 
 
 class Catalogue:
-    """The words of one language, each read when it is first said: a refusal waits for its own words alone."""
+    """The words of one language, each read when it is first used: a refusal waits for its own words alone."""
 
     def __init__(self, language: str, text: str) -> None:
         from fluent.runtime import FluentBundle, FluentResource
@@ -202,14 +202,14 @@ def chosen() -> str:
     return _CHOSEN[0]
 
 
-def words(said: Message | str, language: str = ENGLISH) -> str:
+def words(message: Message | str, language: str = ENGLISH) -> str:
     """Return a message in a language; a plain text as it is."""
-    return said if isinstance(said, str) else catalogue_of(language).words(said)
+    return message if isinstance(message, str) else catalogue_of(language).words(message)
 
 
-def sentences(said: Iterable[Message | str], language: str = ENGLISH) -> str:
+def sentences(messages: Iterable[Message | str], language: str = ENGLISH) -> str:
     """Return messages that are whole sentences one after the other in a language."""
-    return " ".join(words(one, language) for one in said)
+    return " ".join(words(one, language) for one in messages)
 
 
 def _frozen(value: Any) -> Argument:

@@ -38,7 +38,7 @@ def night_report(night: NightRecord, language: str = ENGLISH, link: str = "") ->
         diagnosis=_found(night.diagnosis),
         pictures=_pictures(night.diagnosis, language),
         drifts=[
-            say("night-drift", coefficient=bodies(name), said=message) for name, message in night.outcome.drifts
+            say("night-drift", coefficient=bodies(name), what=message) for name, message in night.outcome.drifts
         ],
         runs=[_run(r.run, r.started_utc, fit) | {"link": _link(link, r.run)} for r, fit in night.runs],
         failures=[entry.message for entry in night.failures],

@@ -30,7 +30,7 @@ def recorded(press, begin_s, until_s, *, columns=None, wire=False):
             values["closed"] = float(press.closed(at))
         found = detector.update(at, values)
         events += found
-        if late.look(at, values, told=bool(found) or detector.closed_by_wire is not None):
+        if late.look(at, values, known=bool(found) or detector.closed_by_wire is not None):
             said.append(at)
     return events, said
 
@@ -77,6 +77,6 @@ def test_a_wire_that_answers_late_makes_the_run_and_nothing_is_said(virtual):
 def test_a_sensor_that_is_hot_for_one_scan_is_no_panel():
     late = LateBeginning(PRESS)
     first = {"platen_top": 200.0, "top_1": 150.0, "bottom_1": 150.0}
-    assert not late.look(0.0, first, told=False)
+    assert not late.look(0.0, first, known=False)
     cold = {"platen_top": 200.0, "top_1": 21.0, "bottom_1": 21.0}
-    assert not any(late.look(0.5 * i, cold, told=False) for i in range(1, 20))
+    assert not any(late.look(0.5 * i, cold, known=False) for i in range(1, 20))

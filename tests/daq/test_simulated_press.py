@@ -48,7 +48,7 @@ def test_no_cycle_is_solved_in_the_thread_that_asks(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(VirtualPress, "_cycle", solved)
     press = VirtualPress(seed=3)
     press.cycle(press.cycle(0.0).end)
-    press.press_as_said(2, {"panel.thickness_mm": 22.0})
+    press.set_panels(2, {"panel.thickness_mm": 22.0})
     assert solving
     assert threading.current_thread() not in solving
 
@@ -157,7 +157,7 @@ def test_the_header_is_what_a_run_file_needs() -> None:
 def test_a_panel_is_pressed_as_it_was_said_to_be_and_the_press_has_its_own_for_the_rest() -> None:
     said = {"panel.thickness_mm": 22.0, "panel.initial_temperature_C": 30.0, "setting.core_target_C": 85.0}
     usual, press = VirtualPress(seed=3), VirtualPress(seed=3)
-    press.press_as_said(press.coming(0.0), said)
+    press.set_panels(press.coming(0.0), said)
     thin, thick = usual.cycle(0.0), press.cycle(0.0)
     assert (thick.pressing.panel.thickness, thick.pressing.panel.initial_temperature) == (0.022, 30.0)
     assert thick.header == {**thin.header, **said}
@@ -170,21 +170,21 @@ def test_what_is_said_holds_for_the_panel_that_comes_and_for_none_that_is_in_the
     first = press.cycle(0.0)
     before, inside = first.moments.inserted_s - 2.0, first.moments.inserted_s + 2.0
     assert (press.coming(before), press.coming(inside)) == (1, 2)
-    press.press_as_said(1, {"panel.thickness_mm": 22.0})
+    press.set_panels(1, {"panel.thickness_mm": 22.0})
     assert press.cycle(inside).pressing.panel.thickness == 0.022
-    press.press_as_said(2, {})
+    press.set_panels(2, {})
     assert press.cycle(inside).pressing.panel.thickness == 0.022
     second = press.cycle(press.cycle(inside).end)
     assert second.pressing.panel.thickness == 0.016
-    judge.press_as_said(1, {"panel.thickness_mm": 22.0})
-    judge.press_as_said(2, {})
+    judge.set_panels(1, {"panel.thickness_mm": 22.0})
+    judge.set_panels(2, {})
     for at_s in (before, inside, second.moments.closed_s + 20.0):
         assert judge.temperatures(at_s) == press.temperatures(at_s)
 
 
 def test_a_wetter_panel_evaporates_more_where_evaporation_is_hidden() -> None:
     wet, dry = (VirtualPress(PressSettings(hide=("moisture_evaporation",)), seed=3) for _ in range(2))
-    wet.press_as_said(1, {"panel.moisture_percent": 12.0})
+    wet.set_panels(1, {"panel.moisture_percent": 12.0})
     more, less = (press.cycle(0.0).pressing.effects["moisture_evaporation"] for press in (wet, dry))
     assert more["moisture_percent"] == pytest.approx(1.5 * less["moisture_percent"])
 

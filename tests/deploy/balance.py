@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.recording.press_line import LEFT_OUT_SAID_EVERY_S
+from daq.recording.press_line import LEFT_OUT_EVERY_S
 from daq.records import Moments, PressEventKind, PressState, Quality
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from daq.store import RunStatus, Store, every
@@ -227,7 +227,7 @@ class _Count:
             lost = _grown(ahead)
             causes["left out, as journalled"] += int(left_out[-1])
             if number + 1 < len(scans.sessions) and self._ending(session.stop - 1) == KILLED:
-                early = _grown(ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S])
+                early = _grown(ahead[times < times[-1] - LEFT_OUT_EVERY_S])
                 causes["left out in the minute before a kill, not journalled any more"] += lost - early
                 lost = early
             silent += lost

@@ -10,7 +10,7 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt
 
-from api.answers.records import doubts_told, run_detail
+from api.answers.records import doubt_fields, run_detail
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import (
@@ -103,8 +103,8 @@ class VerdictChange(BaseModel):
 def get_verdict(store: StoreDep, run: str) -> RunVerdict:
     """Return what became of a panel, who said so last, and when; null where nobody has."""
     record = existing_run(store, run)
-    said = [change for change in store.run_changes(run) if change.field == VERDICT]
-    last = said[-1] if said else None
+    changes = [change for change in store.run_changes(run) if change.field == VERDICT]
+    last = changes[-1] if changes else None
     verdict = record.header.get(VERDICT)
     return RunVerdict(run=run, verdict=verdict, who=last.who if last else None, utc=last.utc if last else None)
 
@@ -165,20 +165,20 @@ def put_next_panel(
 
 
 def _next_panel(store: Store, press: str) -> tuple[NextPanelNow, tuple[Message, ...]]:
-    """Return what is said of the panels to come, and what is to be asked about it."""
-    said, recipes = store.next_panel(press), store.recipes()
-    if said is None:
+    """Return what is stated of the panels to come, and what is to be asked about it."""
+    stated, recipes = store.next_panel(press), store.recipes()
+    if stated is None:
         return NextPanelNow(press=press, recipe="", header={}, who=None, utc=None, recipes=recipes), ()
-    header = dict(said.header)
+    header = dict(stated.header)
     found = _doubts(store, press, header)
     now = NextPanelNow(
         press=press,
-        recipe=said.recipe,
+        recipe=stated.recipe,
         header=header,
-        who=said.who,
-        utc=said.utc,
+        who=stated.who,
+        utc=stated.utc,
         recipes=recipes,
-        **doubts_told(found),
+        **doubt_fields(found),
     )
     return now, found
 

@@ -15,7 +15,7 @@ from api.answers.decimation import column_values
 from api.answers.present import present_of
 from api.answers.records import estimate_of, press_now, utc_now
 from api.answers.schemas import AdviceList, AdviceNow, Blisters, ChannelList, Extremes, PressList, Scans, UnreadRun
-from api.answers.words import said_of
+from api.answers.words import message_answer
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import PressesDep, ResinsDep, StoreDep, existing_press, zoned
@@ -41,8 +41,8 @@ def list_advice(store: StoreDep, presses: PressesDep) -> AdviceList:
     items, now = [], utc_now()
     for name in presses:
         present = present_of(store, name, now)
-        run, said = present.run, estimate_of(present, present.run, now)
-        advice = said.advice if said and said.advice else advice_of(None, None)
+        run, estimate = present.run, estimate_of(present, present.run, now)
+        advice = estimate.advice if estimate and estimate.advice else advice_of(None, None)
         items.append(AdviceNow(press=name, run=run.run if run else None, advice=advice))
     return AdviceList(items=items)
 
@@ -68,8 +68,8 @@ def list_channels(store: StoreDep, presses: PressesDep) -> ChannelList:
     items = []
     for name in presses:
         present = present_of(store, name, now)
-        said = estimate_of(present, present.run, now)
-        left_out = said.left_out if said else {}
+        estimate = estimate_of(present, present.run, now)
+        left_out = estimate.left_out if estimate else {}
         items += channels_now(store, name, present.channels, present.scan, now, left_out)
     return ChannelList(items=items)
 
@@ -108,7 +108,7 @@ def get_scans(
         step_s=found.step_s,
         scans=found.scans.astype(int).tolist(),
         columns=columns,
-        unread=[UnreadRun(run=run, why=str(why), why_said=said_of(why)) for run, why in found.unread],
+        unread=[UnreadRun(run=run, why=str(why), why_said=message_answer(why)) for run, why in found.unread],
     )
 
 

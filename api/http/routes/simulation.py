@@ -59,8 +59,8 @@ def _simulated(store: Store, record: RunRecord) -> tuple[Simulated, Known]:
     newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
     fitted = (known.version, sorted(known.values.items()), sorted(known.moments.items()))
     press_file = store.presses().get(record.press, "")
-    told = repr((newest, record.moments, sorted(record.header.items()), fitted))
-    key = (store.label, record.run, press_file, told)
+    state = repr((newest, record.moments, sorted(record.header.items()), fitted))
+    key = (store.label, record.run, press_file, state)
     return _KEPT.get(key, lambda: _simulate(store, record, known)), known
 
 
@@ -127,20 +127,22 @@ def get_figure(
 
 
 def _recorded(store: Store, run: str) -> dict[str, Any]:
-    """Return what the picture shows beside the simulation: the platens, and the core as it was told live."""
+    """Return what the picture shows beside the simulation: the platens, and the core as it was estimated live."""
     try:
         whole = store.load_run(run)
-        told = [(t, e) for t, e in store.estimates(run) if e.valid]
+        estimates = [(t, e) for t, e in store.estimates(run) if e.valid]
     except ScansUnreadable:
         raise
     except InputError as error:  # given up by rule
         raise ProblemError(404, spoken(error)) from error
-    cells = np.array([(e.core_celsius, e.core_low_celsius, e.core_high_celsius) for _, e in told]).reshape(-1, 3)
+    cells = np.array([(e.core_celsius, e.core_low_celsius, e.core_high_celsius) for _, e in estimates]).reshape(
+        -1, 3
+    )
     return {
         "platens": {name: values for name, values in whole.columns.items() if name.startswith("platen")},
         "platen_time_s": whole.time_s,
-        "live": dict(zip(("core", "low", "high"), cells.T, strict=True)) if told else {},
-        "live_time_s": np.array([t for t, _ in told]),
+        "live": dict(zip(("core", "low", "high"), cells.T, strict=True)) if estimates else {},
+        "live_time_s": np.array([t for t, _ in estimates]),
     }
 
 

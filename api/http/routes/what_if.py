@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 router = APIRouter(tags=["runs"], responses=problem_responses(404, 409))
 
 WAIT_S = 20.0
-"""One answer is worked out at a time, in about a second; who waits longer is told to come again. By hand. [s]"""
+"""One answer is worked out at a time, in about a second; who waits longer is asked to come again. By hand. [s]"""
 _ONE = threading.Lock()
 
 
@@ -88,11 +88,11 @@ def _worked_out(
         raise ProblemError(409, spoken(error)) from error
     finally:
         _ONE.release()
-    told = {
+    shown = {
         name: WhatIfSetting(value=round(settings.get(name, was), 3), was=round(was, 3), lower=lower, upper=upper)
         for name, (was, lower, upper) in known.items()
     }
-    return _answer(record.run, pressed, found, told)
+    return _answer(record.run, pressed, found, shown)
 
 
 def _answer(run: str, pressed: Pressed, found: WhatIf, settings: dict[str, WhatIfSetting]) -> WhatIfAnswer:
@@ -158,8 +158,12 @@ def _pressed(store: Store, record: RunRecord, resin: Path | None) -> Pressed:
 def _live_core(store: Store, record: RunRecord, opened_s: float) -> LiveCore | None:
     from softsensor.planning.what_if import LiveCore
 
-    told = [(t, e) for t, e in store.estimates(record.run) if e.valid and not t > opened_s]
-    return LiveCore(told[-1][0], told[-1][1].core_celsius, told[-1][1].core_sd_kelvin) if told else None
+    estimates = [(t, e) for t, e in store.estimates(record.run) if e.valid and not t > opened_s]
+    return (
+        LiveCore(estimates[-1][0], estimates[-1][1].core_celsius, estimates[-1][1].core_sd_kelvin)
+        if estimates
+        else None
+    )
 
 
 def _own_model(store: Store, record: RunRecord, known: Known) -> ModelFile:

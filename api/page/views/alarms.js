@@ -1,9 +1,9 @@
-// Alarms: what stands, who has taken it on, the limits of the press, and how this browser tells of new ones.
+// Alarms: what stands, who has taken it on, the limits of the press, and how this browser announces new ones.
 import { announce } from "../announce.js";
 import { get, post, put } from "../api.js";
 import { wanted, want } from "../bell.js";
 import { clock, el, table, when, written } from "../dom.js";
-import { said, text } from "../words.js";
+import { inWords, text } from "../words.js";
 
 const LIMITS = [["core_above_C", "page-alarm-core", "°C"], ["platen_above_C", "page-alarm-platen-above", "°C"], ["platen_below_C", "page-alarm-platen-below", "°C"],
   ["silence_s", "page-alarm-silence", "s"], ["drift_percent", "page-alarm-drift", "%"]];
@@ -36,9 +36,9 @@ function drawList(place, items, load) {
   const heads = [{ text: text("page-when") }, { text: text("page-status"), class: "wide" }, { text: text("page-what"), class: "wide" }, { text: text("page-alarm-taken") }];
   const rows = items.map((one) => [when(one.raised_utc),
     el("span", { class: `pill ${one.stands ? "bad" : one.acknowledged_utc ? "" : "warn"}` }, one.stands ? text("page-alarm-stands") : text("page-alarm-over", { time: clock(one.ended_utc) })),
-    said(one.message_said, one.message),
+    inWords(one.message_said, one.message),
     one.acknowledged_utc ? text("page-next-by", { who: one.acknowledged_by, time: clock(one.acknowledged_utc) }) : el("button", {
-      type: "button", class: "button", "aria-label": text("page-alarm-take-this", { what: said(one.message_said, one.message) }),
+      type: "button", class: "button", "aria-label": text("page-alarm-take-this", { what: inWords(one.message_said, one.message) }),
       onclick: async () => {
         try {
           await post(`/alarms/${one.id}/acknowledge`);

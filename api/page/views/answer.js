@@ -1,7 +1,7 @@
 // What now and wall view share: the core with its band, the one answer, and the chart of the core with what is foreseen.
 import { TimeChart, key } from "../charts.js";
 import { duration, el, number } from "../dom.js";
-import { said, text } from "../words.js";
+import { inWords, text } from "../words.js";
 
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
 export const believed = (estimate) => (estimate?.valid ? estimate : {});
@@ -13,7 +13,7 @@ export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`
 
 export const steamOf = (high) => `≤\u00a0${number(high, 0)}\u00a0kPa`;
 
-// Why there is no core is told once: by the answer where that is not known, else here.
+// Why there is no core is shown once: by the answer where that is not known, else here.
 // A tile has no room for the band's name.
 export function showCore(core, band, state, estimate, { tile = false } = {}) {
   const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
@@ -26,7 +26,7 @@ export function showCore(core, band, state, estimate, { tile = false } = {}) {
 
 // Why there is no core: a code in plain words, whose words the catalogue has with hyphens.
 function reasonOf(estimate) {
-  return estimate?.reason && said({ code: `reason-${estimate.reason.replaceAll(" ", "-")}`, arguments: estimate.reason_arguments }, estimate.reason);
+  return estimate?.reason && inWords({ code: `reason-${estimate.reason.replaceAll(" ", "-")}`, arguments: estimate.reason_arguments }, estimate.reason);
 }
 
 // For how long nothing was read; a press whose loggers never gave a reading has been silent for ever.
@@ -39,7 +39,7 @@ export function showAnswer(place, { state, estimate }, silent) {
   const verdict = silent !== null || !(advice || empty) ? "not_known" : empty ? "no_panel" : advice.verdict;
   const line = silent !== null
     ? text("advice-not-known", { why: whySilent(silent) })
-    : advice ? said(advice.sentence_said, advice.sentence) : text(empty ? "advice-no-panel" : "page-no-estimate");
+    : advice ? inWords(advice.sentence_said, advice.sentence) : text(empty ? "advice-no-panel" : "page-no-estimate");
   const shown = line.replace(/\([^()]*\)/g, (band) => band.replaceAll(" ", "\u00a0")); // a band stands on one line
   place.className = `answer ${verdict}`;
   if (place.textContent !== shown) place.textContent = shown;

@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
 import { began, el, figure, number, table } from "../dom.js";
-import { has, numberName, said, text } from "../words.js";
+import { has, inWords, numberName, text } from "../words.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
@@ -30,7 +30,7 @@ export async function show(place, context) {
 
 // A model that presses of the same kind have taught says which.
 function ofSisters(model) {
-  return model?.reason_said?.code === "model-from-sisters" ? [el("p", {}, text("page-coefficients-sisters", { why: said(model.reason_said, model.reason) }))] : [];
+  return model?.reason_said?.code === "model-from-sisters" ? [el("p", {}, text("page-coefficients-sisters", { why: inWords(model.reason_said, model.reason) }))] : [];
 }
 
 function card(name, history, axis, used, drift) {
@@ -38,13 +38,13 @@ function card(name, history, axis, used, drift) {
     .filter((point) => point.c && point.x !== undefined).sort((a, b) => a.x - b.x);
   const holder = el("div", {});
   const known = (p) => p.c.identifiable !== false;
-  const told = points.filter(known);
+  const determined = points.filter(known);
   const last = history.findLast(({ coefficients }) => coefficients[name] && coefficients[name].identifiable !== false);
   const value = last && `${figure(last.coefficients[name].value)} W/m²K`;
   // The newest fit, in the table below, may not know it: then this says whose value it is.
   const beside = [last && last !== history.at(-1) && text("page-last-identifiable", { run: last.run }), used && `${text("page-in-use")} ${figure(used)} W/m²K`].filter(Boolean);
-  const [low, high] = span(told.length ? told : points);
-  // What a run could not tell stays inside the picture, at its edge.
+  const [low, high] = span(determined.length ? determined : points);
+  // What a run could not show stays inside the picture, at its edge.
   const inside = (value) => Math.min(Math.max(value, low), high);
   requestAnimationFrame(() => {
     if (!holder.isConnected) return;
@@ -74,7 +74,7 @@ function driftPill(drift) {
   if (!drift) return el("span", { class: "pill" }, `${text("page-drift")}: ${text("page-drift-none")}`);
   const change = `${drift.factor >= 1 ? "+" : "−"}${number(Math.abs(100 * (drift.factor - 1)), 0)} %`;
   const sentence = text(`page-drift-${drift.chart}`, { change, run: drift.since_run });
-  return el("a", { class: "pill warn", href: `#/runs/${encodeURIComponent(drift.since_run)}`, title: said(drift.sentence_said, drift.sentence) }, `${text("page-drift")}: ${sentence}`);
+  return el("a", { class: "pill warn", href: `#/runs/${encodeURIComponent(drift.since_run)}`, title: inWords(drift.sentence_said, drift.sentence) }, `${text("page-drift")}: ${sentence}`);
 }
 
 // The values and most of their intervals: one wide interval must not flatten the others.
@@ -97,5 +97,5 @@ export function coefficientTable(coefficients) {
   return table(text("page-nav-coefficients"), [{ text: text("page-name") }, { text: "W/m²K", class: "right" }, { text: text("page-interval"), class: "right" }, { text: text("page-verdict") }],
     Object.entries(coefficients).map(([name, c]) => [el("span", {}, name, " ", el("span", { class: "faint small hide-narrow" }, bodies(name))), el("span", { class: "num" }, figure(c.value)),
       el("span", { class: "num" }, c.ci95 ? `${figure(c.ci95[0])} … ${figure(c.ci95[1])}` : "–"),
-      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: said(c.reason_said, c.reason) }, text(c.identifiable ? "page-identifiable" : "page-not-identifiable"))]));
+      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: inWords(c.reason_said, c.reason) }, text(c.identifiable ? "page-identifiable" : "page-not-identifiable"))]));
 }

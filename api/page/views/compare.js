@@ -92,7 +92,7 @@ async function simulate(run) {
   }
 }
 
-// The core as told live; of a run nobody followed live, as simulated with its fit.
+// The core as estimated live; of a run nobody followed live, as simulated with its fit.
 async function coreOf(path) {
   const live = await get(`${path}/estimates`, { max_points: 3000 });
   if (live.rows) return live;

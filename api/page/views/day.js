@@ -3,7 +3,7 @@ import { get } from "../api.js";
 import { COLOURS, GROUPS, groupName, roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { el, midnight, number, table } from "../dom.js";
-import { locale, said, text } from "../words.js";
+import { inWords, locale, text } from "../words.js";
 
 const STEPS = 600; // two pixels each on a wide screen
 const BRIDGE_S = 600; // of old days every hundredth idle scan is kept: a line goes on through such silences
@@ -48,7 +48,7 @@ export async function showDay(place, context, asked) {
     const part = await read(begin, end).catch(() => null); // the whole day stays
     if (part && mine === turn && chart.held && chart.plot) chart.set(curves(part, from));
   };
-  missing.replaceChildren(...scans.unread.map(({ run, why, why_said }) => el("p", { class: "small warn-text" }, `${run}: ${said(why_said, why)}`)));
+  missing.replaceChildren(...scans.unread.map(({ run, why, why_said }) => el("p", { class: "small warn-text" }, `${run}: ${inWords(why_said, why)}`)));
   list.replaceChildren(pressings(runs, from, says));
   return null;
 }

@@ -2,7 +2,7 @@
 import { get, post } from "../api.js";
 import { TimeChart, calmRange, key } from "../charts.js";
 import { clock, el, number, plain, table } from "../dom.js";
-import { capital, effectCalled, effectName as name, has, placeName, said, text } from "../words.js";
+import { capital, effectCalled, effectName as name, has, inWords, placeName, text } from "../words.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
@@ -37,7 +37,7 @@ function drawDiagnosis(holder, record) {
       pair(text("page-heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("page-predicted"), d.base?.predicted_rmse_K, d.extended?.predicted_rmse_K), pair(text("page-all-sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("page-core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
       gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text(predicted ? "page-gain-predicted" : "page-gain-left-out"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
-    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), said(d.next_measurement_said, d.next_measurement)) : null)];
+    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), inWords(d.next_measurement_said, d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
   const curves = record.has_curves ? el("section", { class: "card", "data-testid": "curves" }) : null;
   holder.replaceChildren(...[cards[0], curves, ...cards.slice(1)].filter(Boolean));
@@ -82,8 +82,8 @@ function eitherOf(effects) {
 }
 
 function effectBlock(effect, words) {
-  const parameters = Object.entries(effect.parameters ?? {}).map(([key, p]) => [key, told(key, p, words?.[`${effect.name}.${key}`])]);
-  const worth = effect.worth ? said(effect.worth_said, effect.worth) : `${text("page-heldout-gain")} ${kelvins(effect.heldout_gain_K, 2)} K`;
+  const parameters = Object.entries(effect.parameters ?? {}).map(([key, p]) => [key, shownParameter(key, p, words?.[`${effect.name}.${key}`])]);
+  const worth = effect.worth ? inWords(effect.worth_said, effect.worth) : `${text("page-heldout-gain")} ${kelvins(effect.heldout_gain_K, 2)} K`;
   return el("div", {}, el("h2", { class: "sub" }, name(effect.name), " ", el("code", { class: "small faint" }, effect.name)),
     parameters.length ? table(name(effect.name), [{ text: text("page-parameter") }, { text: text("page-value"), class: "right" }, { text: text("page-interval"), class: "right" }],
       parameters.map(([key, p]) => [el("span", { title: key }, p.words), el("span", { class: "num" }, `${p.value} ${p.unit}`.trim()), el("span", { class: "num" }, p.interval)])) : null,
@@ -93,12 +93,12 @@ function effectBlock(effect, words) {
 }
 
 // A parameter's words, value and interval; without words its short name stands for itself.
-function told(short, parameter, words) {
+function shownParameter(short, parameter, words) {
   const value = (v) => (typeof v === "number" ? plain(v * (words?.factor ?? 1)) : String(v ?? "–"));
   return {
-    words: words ? said(words.words_said, words.words) : short.replaceAll("_", " "),
+    words: words ? inWords(words.words_said, words.words) : short.replaceAll("_", " "),
     value: Array.isArray(parameter.value) ? parameter.value.join(", ") : value(parameter.value),
-    unit: words ? said(words.unit_said, words.unit) : "",
+    unit: words ? inWords(words.unit_said, words.unit) : "",
     interval: parameter.ci95 ? `${value(parameter.ci95[0])} … ${value(parameter.ci95[1])}` : "–",
   };
 }
@@ -128,7 +128,7 @@ function whereCard(d) {
   const span = (from, to, unit) => `${number(from, 0)}${to === from ? "" : ` … ${number(to, 0)}`} ${unit}`;
   return el("section", { class: "card" }, el("h2", {}, text("page-where")), d.where?.length ? table(text("page-where"), heads,
     d.where.slice(0, 8).map((w) => [el("span", { title: w.signal }, placeName(w.signal)), el("span", { class: "num" }, `${w.residual_K > 0 ? "+" : ""}${number(w.residual_K, 2)} K`),
-      w.phase ? said(w.phase_said, w.phase) : text(`page-state-${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : span(w.from_s, w.to_s, "s")),
+      w.phase ? inWords(w.phase_said, w.phase) : text(`page-state-${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : span(w.from_s, w.to_s, "s")),
       el("span", { class: "num" }, Number.isFinite(w.low_C) ? span(Math.round(w.low_C), Math.round(w.high_C), "°C") : "–")]), { cards: true }) : el("p", { class: "faint" }, text(UNJUDGED.includes(d.verdict) ? "page-nowhere-sought" : "page-nowhere")));
 }
 
@@ -157,7 +157,7 @@ function modelsCard(items) {
       const button = el("button", { type: "button", class: "button" }, text(current >= 0 && i > current ? "page-roll-back" : "page-promote"));
       button.addEventListener("click", () => promote(item, button));
       const version = item.status === "rejected" ? el("div", {}, item.version, " ", el("span", { class: "pill warn" }, text("page-model-rejected"))) : item.version;
-      return [version, clock(item.utc), item.effects.length ? item.effects.map(name).join(", ") : text("page-plain-model"), item.reason ? said(item.reason_said, item.reason) : "–",
+      return [version, clock(item.utc), item.effects.length ? item.effects.map(name).join(", ") : text("page-plain-model"), item.reason ? inWords(item.reason_said, item.reason) : "–",
         item.current ? el("span", { class: "pill good" }, text("page-in-use")) : button];
     })) : el("p", { class: "faint" }, text("page-no-models")), message);
 }

@@ -2,7 +2,7 @@
 import { announce } from "../announce.js";
 import { get, post } from "../api.js";
 import { clock, duration, el, table, when } from "../dom.js";
-import { said, text } from "../words.js";
+import { inWords, text } from "../words.js";
 import { refuse } from "./alarms.js";
 
 const TOGETHER_S = 300;
@@ -83,14 +83,14 @@ function together(entries) {
   return groups;
 }
 
-const shown = (one) => said(one.message_said, one.message);
+const shown = (one) => inWords(one.message_said, one.message);
 
 // Scans that were left out are added up; of all else that repeats the newest stands for the others.
 function row(group) {
   const [newest] = group;
   const code = newest.message_said.code;
   const words = ofPress(newest) ? [...group].reverse().map((one) => `${shown(one)} ${clock(one.utc, false)}`).join(" · ") : code === "scans-left-out"
-    ? said({ code, arguments: { ...newest.message_said.arguments, count: group.reduce((sum, one) => sum + one.message_said.arguments.count, 0) } }) : shown(newest);
+    ? inWords({ code, arguments: { ...newest.message_said.arguments, count: group.reduce((sum, one) => sum + one.message_said.arguments.count, 0) } }) : shown(newest);
   const span = (at(newest) - at(group.at(-1))) / 1000;
   const runs = [...new Set(group.map(({ run }) => run).filter(Boolean))];
   return [when(newest.utc), `${newest.process}${newest.press ? ` · ${newest.press}` : ""}`,

@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { standing } from "../channels.js";
 import { bytes, clock, duration, el, number, reading, table } from "../dom.js";
-import { has, said, text } from "../words.js";
+import { has, inWords, text } from "../words.js";
 
 export async function show(place) {
   const holder = el("div", { class: "stack" });
@@ -31,7 +31,7 @@ const named = (state) => (has(`page-process-${state}`) ? text(`page-process-${st
 
 function processCard({ processes }) {
   return el("section", { class: "card" }, el("h2", {}, text("page-processes")), table(text("page-processes"), [{ text: text("page-name") }, { text: text("page-status") }, { text: text("page-last-sign"), class: "right" }],
-    processes.map((p) => [el("div", {}, p.name, p.message ? el("p", { class: "small faint" }, p.message_said.map((one) => said(one)).join("; ") || p.message) : ""), el("span", { class: `pill ${p.alive || p.state === "done" ? "good" : "bad"}` }, p.alive || p.state === "done" ? named(p.state) : text("page-silent")),
+    processes.map((p) => [el("div", {}, p.name, p.message ? el("p", { class: "small faint" }, p.message_said.map((one) => inWords(one)).join("; ") || p.message) : ""), el("span", { class: `pill ${p.alive || p.state === "done" ? "good" : "bad"}` }, p.alive || p.state === "done" ? named(p.state) : text("page-silent")),
       el("span", { class: "num" }, p.age_s === null ? "–" : text("page-ago", { time: duration(p.age_s) }))])));
 }
 

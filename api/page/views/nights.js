@@ -1,7 +1,7 @@
 // Nights: what the nightly job did for the chosen press or for all, newest first.
 import { download, get, url } from "../api.js";
 import { bytes, duration, el, number, table, when } from "../dom.js";
-import { effectName, has, language, said, text } from "../words.js";
+import { effectName, has, inWords, language, text } from "../words.js";
 
 export async function show(place, context) {
   const rows = el("div", { "data-testid": "nights" });
@@ -50,13 +50,13 @@ function fitted(one) {
   return el("div", {}, count(one.fitted), standing > 0 ? el("p", { class: "small faint" }, text("page-night-standing", { runs: standing })) : "");
 }
 
-// Runs without panel sensors and older ones are left out as it is meant; what could not be fitted is told run by run.
+// Runs without panel sensors and older ones are left out as it is meant; what could not be fitted is listed run by run.
 function leftOut(one) {
   const parts = [["page-night-not-fitted", one.not_fitted], ["page-night-blind", one.blind], ["page-night-later", one.later]].filter(([, runs]) => runs);
   if (!parts.length && !one.left_out.length) return "–";
   return el("div", {}, parts.map(([code, runs]) => el("p", { class: code === "page-night-not-fitted" ? "small warn-text" : "small" }, text(code, { runs, nights: one.later_nights }))),
     one.left_out.length ? el("details", {}, el("summary", { class: "small" }, text("page-night-why", { runs: one.left_out.length })),
-      el("ul", { class: "small" }, one.left_out.map((each) => el("li", {}, el("a", { href: `#/runs/${encodeURIComponent(each.run)}` }, each.run), ` ${said(each.why_said, each.why)}`)))) : "");
+      el("ul", { class: "small" }, one.left_out.map((each) => el("li", {}, el("a", { href: `#/runs/${encodeURIComponent(each.run)}` }, each.run), ` ${inWords(each.why_said, each.why)}`)))) : "");
 }
 
 function named(one) {
@@ -67,5 +67,5 @@ function named(one) {
 function model(one) {
   const pill = one.promoted ? el("span", { class: "pill good" }, text("page-night-promoted", { version: one.promoted }))
     : one.refused ? el("span", { class: "pill warn" }, text("page-night-refused", { version: one.refused })) : one.version ? text("page-night-stays", { version: one.version }) : text("page-night-none");
-  return el("div", {}, pill, el("p", { class: "small faint" }, said(one.reason_said, one.reason)));
+  return el("div", {}, pill, el("p", { class: "small faint" }, inWords(one.reason_said, one.reason)));
 }

@@ -5,7 +5,7 @@ import { COLOURS, groupName, roleOf, standing } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
-import { effectName, said, text } from "../words.js";
+import { effectName, inWords, text } from "../words.js";
 import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
@@ -151,17 +151,17 @@ class LivePress {
     const estimate = this.now.state === "idle" ? null : this.now.estimate;
     const { warning, warning_said: warningSaid } = believed(estimate);
     const suspected = estimate?.suspected;
-    const lines = [warning && `⚠ ${said(warningSaid, warning)}`, suspected && `${text("page-suspected")}: ${effectName(suspected)}`].filter(Boolean);
+    const lines = [warning && `⚠ ${inWords(warningSaid, warning)}`, suspected && `${text("page-suspected")}: ${effectName(suspected)}`].filter(Boolean);
     if (this.warning.textContent !== lines.join("")) this.warning.replaceChildren(...lines.map((line) => el("p", {}, line)));
     this.warning.hidden = !lines.length;
   }
 
   hear(age = Math.min(...this.now.channels.map((c) => c.age_s ?? Infinity))) {
-    Object.assign(this, { age, heard: performance.now() });
+    Object.assign(this, { age, received: performance.now() });
   }
 
   silentFor() {
-    return this.age + (performance.now() - this.heard) / 1000;
+    return this.age + (performance.now() - this.received) / 1000;
   }
 
   // Old numbers must not look like new ones: one banner, nothing green, every number grey with its age.

@@ -1,8 +1,8 @@
-// The next panel, said before it is pressed, and what became of the last one: large enough for a thumb in a glove.
+// The next panel, stated before it is pressed, and what became of the last one: large enough for a thumb in a glove.
 import { announce } from "../announce.js";
 import { get, put } from "../api.js";
 import { clock, el, number, written } from "../dom.js";
-import { saidOfFields, text } from "../words.js";
+import { inFieldWords, text } from "../words.js";
 
 const VERDICTS = ["good", "blister", "undercured", "scrap"];
 const FIELDS = [["panel.material", "page-material", ""], ["panel.thickness_mm", "page-thickness", "mm"], ["panel.moisture_percent", "page-moisture", "%"],
@@ -19,28 +19,28 @@ export class PanelCards {
 
   // What somebody began to type while the answer was on its way stays.
   async load() {
-    const said = await get("/press/next", { press: this.press });
-    if (!this.inUse()) this.draw(said);
+    const stated = await get("/press/next", { press: this.press });
+    if (!this.inUse()) this.draw(stated);
   }
 
   inUse() { return this.typed || this.next.contains(document.activeElement); }
 
-  draw(said) {
+  draw(stated) {
     this.typed = false;
     const fields = FIELDS.map(([key, label, unit]) => {
-      const value = said.header[key];
+      const value = stated.header[key];
       const input = el("input", { type: "text", id: `next-${key}`, inputmode: key === "panel.material" ? "text" : "decimal", autocomplete: "off", value: value === undefined ? "" : typeof value === "number" ? written(value) : value });
       return { key, input, row: el("label", { for: `next-${key}` }, el("span", {}, text(label), unit ? el("span", { class: "faint" }, ` [${unit}]`) : ""), input) };
     });
-    const names = Object.keys(said.recipes);
+    const names = Object.keys(stated.recipes);
     const choice = el("select", { id: "next-recipe", onchange: () => {
       for (const { key, input } of fields) {
-        const value = said.recipes[choice.value]?.[key];
+        const value = stated.recipes[choice.value]?.[key];
         if (choice.value) input.value = value === undefined ? "" : typeof value === "number" ? written(value) : value;
       }
       name.value = choice.value;
-    } }, el("option", { value: "" }, text("page-recipe-none")), names.map((one) => el("option", { value: one, selected: one === said.recipe }, one)));
-    const name = el("input", { type: "text", id: "next-name", value: said.recipe, maxlength: 100, autocomplete: "off" });
+    } }, el("option", { value: "" }, text("page-recipe-none")), names.map((one) => el("option", { value: one, selected: one === stated.recipe }, one)));
+    const name = el("input", { type: "text", id: "next-name", value: stated.recipe, maxlength: 100, autocomplete: "off" });
     const message = el("p", { role: "status", class: "small" });
     this.faces = el("p", { class: "small faint faces-now" });
     const form = el("form", { class: "touch-form" },
@@ -50,16 +50,16 @@ export class PanelCards {
     form.addEventListener("input", () => { this.typed = true; });
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
-      const others = Object.entries(said.header).filter(([key]) => !FIELDS.some(([known]) => known === key));
+      const others = Object.entries(stated.header).filter(([key]) => !FIELDS.some(([known]) => known === key));
       const header = Object.fromEntries([...others, ...fields.filter(({ input }) => input.value.trim()).map(({ key, input }) => [key, meant(key, input.value.trim())])]);
       try {
         this.draw(await put(`/press/next?press=${encodeURIComponent(this.press)}`, { header, recipe: name.value.trim() }));
         announce(text("page-next-kept"));
-      } catch (error) { refuse(message, error, saidOfFields(error.said, error.message, labels())); }
+      } catch (error) { refuse(message, error, inFieldWords(error.coded, error.message, labels())); }
     });
     this.next.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-next-panel")),
-      el("span", { class: "small faint" }, said.who ? text("page-next-by", { who: said.who, time: clock(said.utc) }) : "")),
-    form, ...said.doubts_said.map((doubt) => el("p", { class: "warning", role: "status" }, `⚠ ${saidOfFields(doubt, doubt.code, labels())}`)),
+      el("span", { class: "small faint" }, stated.who ? text("page-next-by", { who: stated.who, time: clock(stated.utc) }) : "")),
+    form, ...stated.doubts_said.map((doubt) => el("p", { class: "warning", role: "status" }, `⚠ ${inFieldWords(doubt, doubt.code, labels())}`)),
     el("p", { class: "small faint" }, text("page-next-hint")), this.faces, message);
   }
 
@@ -76,7 +76,7 @@ export class PanelCards {
     if (done) this.ask(done).catch(() => { this.verdict.hidden = true; });
   }
 
-  // A pressing that begins takes what was said of its panel alone, and others may have said something since.
+  // A pressing that begins takes what was stated of its panel alone, and others may have stated something since.
   follow(run) {
     const before = this.begun;
     this.begun = run;
@@ -87,19 +87,19 @@ export class PanelCards {
     this.drawVerdict(run, await get(`/runs/${encodeURIComponent(run)}/verdict`));
   }
 
-  drawVerdict(run, said) {
+  drawVerdict(run, marked) {
     const message = el("p", { role: "status", class: "small" });
     const buttons = VERDICTS.map((one) => el("button", {
-      type: "button", class: `button verdict-button ${one}`, "aria-pressed": String(said.verdict === one),
+      type: "button", class: `button verdict-button ${one}`, "aria-pressed": String(marked.verdict === one),
       onclick: async () => {
         try {
-          this.drawVerdict(run, await put(`/runs/${encodeURIComponent(run)}/verdict`, { verdict: said.verdict === one ? null : one }));
+          this.drawVerdict(run, await put(`/runs/${encodeURIComponent(run)}/verdict`, { verdict: marked.verdict === one ? null : one }));
         } catch (error) { refuse(message, error); }
       },
     }, text(`page-panel-${one}`)));
     this.verdict.replaceChildren(el("h2", {}, text("page-panel-verdict", { run })), el("div", { class: "verdicts" }, buttons), message,
-      said.who ? el("p", { class: "small faint" }, text("page-next-by", { who: said.who, time: clock(said.utc) })) : "",
-      ["good", "blister"].includes(said.verdict) ? el("p", { class: "small" }, el("a", { href: "#/runs/blisters" }, text("page-blisters", { press: this.press }))) : "");
+      marked.who ? el("p", { class: "small faint" }, text("page-next-by", { who: marked.who, time: clock(marked.utc) })) : "",
+      ["good", "blister"].includes(marked.verdict) ? el("p", { class: "small" }, el("a", { href: "#/runs/blisters" }, text("page-blisters", { press: this.press }))) : "");
   }
 }
 

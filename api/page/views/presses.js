@@ -1,7 +1,7 @@
 // All presses at once: one tile each with state, core, the one answer and what is wrong; thirty on one screen.
 import { get } from "../api.js";
 import { el } from "../dom.js";
-import { said, text } from "../words.js";
+import { inWords, text } from "../words.js";
 import { showAnswer, showCore, showLight, stateOf } from "./answer.js";
 
 export async function show(place) {
@@ -10,10 +10,10 @@ export async function show(place) {
   const tiles = new Map();
   const load = async () => {
     const [{ items }, health] = await Promise.all([get("/press"), get("/health")]);
-    const heard = performance.now();
+    const received = performance.now();
     for (const now of items) {
       if (!tiles.has(now.press)) tiles.set(now.press, tile(now.press));
-      Object.assign(tiles.get(now.press), { now, heard, wrong: health.alarms_said.find((one) => one.arguments?.press === now.press) });
+      Object.assign(tiles.get(now.press), { now, received, wrong: health.alarms_said.find((one) => one.arguments?.press === now.press) });
     }
     if (grid.children.length !== tiles.size) grid.replaceChildren(...[...tiles.values()].map(({ node }) => node));
     tiles.forEach(draw);
@@ -38,7 +38,7 @@ function tile(press) {
 }
 
 // Old numbers are grey here, too, and press by press.
-function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
+function draw({ node, state, core, band, answer, light, now, received, wrong }) {
   const filesOnly = !now.channels.length; // runs came as files, nothing records here: nothing is wrong and nothing is late
   if (filesOnly) {
     node.classList.add("stale");
@@ -48,12 +48,12 @@ function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
     return;
   }
   for (const part of [state, core, band, answer]) part.hidden = false;
-  const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - heard) / 1000;
+  const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - received) / 1000;
   const stale = silent > now.silent_after_s;
   node.classList.toggle("stale", stale);
   state.className = `pill ${stateOf(now, stale)}`;
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate, { tile: true });
   showAnswer(answer, now, stale ? silent : null);
-  showLight(light, { now, silent: stale ? silent : null, wrong: wrong && said(wrong) });
+  showLight(light, { now, silent: stale ? silent : null, wrong: wrong && inWords(wrong) });
 }

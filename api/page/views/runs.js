@@ -2,7 +2,7 @@
 import { download, get, url } from "../api.js";
 import { TimeChart, calmRange, key } from "../charts.js";
 import { began, duration, el, number, table, when } from "../dom.js";
-import { language, placeName, said, text } from "../words.js";
+import { inWords, language, placeName, text } from "../words.js";
 import { COLOURS, groupName, roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { cureOf, steamOf } from "./answer.js";
@@ -103,7 +103,7 @@ async function list(place, context) {
       ...columns.map(([name, , digits, unit]) => (name === "rmse_K" && run.described === false
         ? el("div", {}, cell(run.numbers[name], digits, unit), el("p", {}, el("span", { class: "pill bad wraps" }, text("page-not-described")))) : cell(run.numbers[name], digits, unit))),
       run.verdict ? el("span", { class: `pill ${run.verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${run.verdict}`)) : "–",
-      run.damage ? el("span", { class: "pill bad", title: said(run.damage_said, run.damage) }, text("page-run-damaged")) : statusPill(run.status),
+      run.damage ? el("span", { class: "pill bad", title: inWords(run.damage_said, run.damage) }, text("page-run-damaged")) : statusPill(run.status),
     ]), { cards: true, sort: text("page-sort-by"), pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
   }
 
@@ -147,8 +147,8 @@ function atOpening({ opened_s: opened }, estimates) {
   const row = estimates.time_s.findLastIndex((time, i) => time <= opened && estimates.state[i] === "closed" && estimates.valid[i]);
   if (opened === null || row < 0) return null;
   const [low, high] = [estimates.cure_low[row], estimates.steam_high_kPa[row]];
-  const told = [low !== null && `${text("page-cure")} ${cureOf(low, estimates.grade[row])}`, high !== null && `${text("page-steam")} ${steamOf(high)}`].filter(Boolean);
-  return told.length ? el("p", { "data-testid": "at-opening" }, `${text("page-at-opening")}: ${told.join(" · ")}`) : null;
+  const parts = [low !== null && `${text("page-cure")} ${cureOf(low, estimates.grade[row])}`, high !== null && `${text("page-steam")} ${steamOf(high)}`].filter(Boolean);
+  return parts.length ? el("p", { "data-testid": "at-opening" }, `${text("page-at-opening")}: ${parts.join(" · ")}`) : null;
 }
 
 function headCard(run, path, estimates) {
@@ -254,7 +254,7 @@ function fitCard(fit, { described }) {
     el("span", { class: `pill ${state[0]}` }, text(state[1]))),
   coefficientTable(coefficients),
   el("p", { class: "small faint" }, text("page-fit-left", { before: number(fit.initial_rmse_K, 2), after: number(fit.rmse_K, 2) })),
-  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, said(fit.warnings_said?.[i], warning)))) : null);
+  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, inWords(fit.warnings_said?.[i], warning)))) : null);
 }
 
 // Two time axes on one chart: their union, each series lifted onto it.

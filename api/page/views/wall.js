@@ -1,7 +1,7 @@
 // The wall: core, the one answer, press state and one health light, to be read from four metres; nothing to press.
 import { get } from "../api.js";
 import { duration, el } from "../dom.js";
-import { said, text } from "../words.js";
+import { inWords, text } from "../words.js";
 import { CoreChart, courseOf, showAnswer, showCore, showLight, stateOf, take } from "./answer.js";
 
 export async function show(place, context, [press]) {
@@ -45,7 +45,7 @@ class Wall {
       this.now = items[0];
       this.health = health;
       this.age = Math.min(...this.now.channels.map((c) => c.age_s ?? Infinity));
-      this.heard = performance.now();
+      this.received = performance.now();
       if (this.now.run !== this.shown) await this.load();
       this.draw();
     } catch { /* showAge says how old what is shown is */ }
@@ -56,9 +56,9 @@ class Wall {
     this.course = null;
     this.rows = null; // what comes meanwhile is among what is asked for
     if (!this.shown) return;
-    const told = await get(`/runs/${encodeURIComponent(this.shown)}/estimates`, { max_points: 2000 });
+    const estimates = await get(`/runs/${encodeURIComponent(this.shown)}/estimates`, { max_points: 2000 });
     this.rows = [[], [], [], []];
-    told.time_s.forEach((time, i) => { if (told.valid[i]) this.keep(time, told.core_low_C[i], told.core_high_C[i], told.core_C[i]); });
+    estimates.time_s.forEach((time, i) => { if (estimates.valid[i]) this.keep(time, estimates.core_low_C[i], estimates.core_high_C[i], estimates.core_C[i]); });
     this.chart?.close();
     this.chartPlace.replaceChildren();
     const letters = Math.max(12, 0.024 * Math.min(innerWidth, innerHeight)); // grow with the screen, as all letters of the wall
@@ -72,7 +72,7 @@ class Wall {
 
   estimate(data) {
     if (data.press !== this.now?.press || this.left) return;
-    if (take(this.now, data) && data.valid) Object.assign(this, { age: data.age_s, heard: performance.now() });
+    if (take(this.now, data) && data.valid) Object.assign(this, { age: data.age_s, received: performance.now() });
     this.course = courseOf(data) ?? this.course;
     if (data.run === this.shown && data.valid && data.time_s !== null) this.keep(data.time_s, data.core_low_C, data.core_high_C, data.core_C);
     if (this.work) return;
@@ -98,7 +98,7 @@ class Wall {
   }
 
   showAge() {
-    const silent = this.age + (performance.now() - this.heard) / 1000;
+    const silent = this.age + (performance.now() - this.received) / 1000;
     const stale = silent > this.now.silent_after_s;
     document.documentElement.toggleAttribute("data-stale", stale);
     if (stale !== this.stale) {
@@ -110,7 +110,7 @@ class Wall {
     this.state.textContent = text(`page-state-${state}`);
     showAnswer(this.answer, this.now, stale ? silent : null);
     const alarms = this.health?.alarms ?? [];
-    const wrong = this.health?.status === "ok" ? "" : said(this.health?.alarms_said[0], alarms[0]) || text("page-health-degraded");
+    const wrong = this.health?.status === "ok" ? "" : inWords(this.health?.alarms_said[0], alarms[0]) || text("page-health-degraded");
     showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong });
   }
 }
