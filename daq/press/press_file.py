@@ -149,6 +149,7 @@ class Boundary(Table):
     """The heat flux differs from run to run: a header without ``boundary.END.incident_W_m2`` is refused."""
     absorptivity: Share = 1.0
     emissivity: Share = 0.0
+    """Of a face before a flux or air: it radiates to its surroundings beside what `coefficient` takes."""
     coefficient: str | None = None
     ambient_C: Number | None = Field(default=None, gt=COLDEST_C, lt=HOTTEST_C)  # noqa: N815
     """None takes the run's ``ambient.temperature_C``."""

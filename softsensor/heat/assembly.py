@@ -302,9 +302,9 @@ def _flux_table(press: Press, ambient: float) -> Array:
     rows = []
     for boundary in (press.boundary.bottom, press.boundary.top):
         surroundings = ambient if boundary.ambient_C is None else boundary.ambient_C
-        flux = boundary.kind == "flux"
-        absorbed = boundary.absorptivity * boundary.incident_W_m2 if flux else 0.0
-        rows.append((absorbed, boundary.emissivity if flux else 0.0, surroundings))
+        absorbed = boundary.absorptivity * boundary.incident_W_m2 if boundary.kind == "flux" else 0.0
+        radiates = boundary.kind in ("flux", "air")
+        rows.append((absorbed, boundary.emissivity if radiates else 0.0, surroundings))
     return np.array(rows)
 
 

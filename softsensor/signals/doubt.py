@@ -192,17 +192,16 @@ def _layer(header: Mapping[str, Any], layer: Layer) -> Iterator[tuple[str, Doubt
 
 def _boundary(header: Mapping[str, Any], end: str, boundary: Boundary) -> Iterator[tuple[str, Doubt]]:
     own = dict(boundary.sd)
+    names: dict[str, float] = {}
     if boundary.kind == "flux":
         value = _number(header.get(f"boundary.{end}.incident_W_m2", boundary.incident_W_m2)) or 0.0
-        names = (
-            ("incident_W_m2", INCIDENT_SHARE * abs(value)),
-            ("absorptivity", ABSORPTIVITY),
-            ("emissivity", ABSORPTIVITY),
-        )
-        for name, sd in names:
-            if (number := getattr(boundary, name)) > 0.0:
-                key = f"boundary.{end}.{name}"
-                yield key, _of_press(header, key, number, own, sd)
+        names = {"incident_W_m2": INCIDENT_SHARE * abs(value), "absorptivity": ABSORPTIVITY}
+    if boundary.kind in ("flux", "air"):
+        names["emissivity"] = ABSORPTIVITY
+    for name, sd in names.items():
+        if (number := getattr(boundary, name)) > 0.0:
+            key = f"boundary.{end}.{name}"
+            yield key, _of_press(header, key, number, own, sd)
     if boundary.kind in ("flux", "air") and boundary.ambient_C is not None:
         key = f"boundary.{end}.ambient_C"
         yield key, _of_press(header, key, boundary.ambient_C, own, AMBIENT_K)

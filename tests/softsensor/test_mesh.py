@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcx
 
@@ -236,6 +237,24 @@ def test_face_that_radiates_settles_where_losses_equal_the_flux(make_rig):
     face = model.solve(model.prepare(run, NEVER), {"h": 10.0}).column("a")[-1]
     lost = 10.0 * (face - 25.0) + 0.8 * 5.670374419e-8 * ((face + 273.15) ** 4 - 298.15**4)
     assert lost == pytest.approx(8000.0, rel=1e-6)
+
+
+def test_a_face_to_the_air_that_radiates_cools_as_a_lump_does(make_rig):
+    """A plate of 2 mm without a gradient: rho c d dT/dt = -h (T - Ta) - eps sigma (T^4 - Ta^4)."""
+    time_s = np.arange(0.0, 600.5, 1.0)
+    air = 'kind = "air"\nemissivity = 0.92\ncoefficient = "h"\nambient_C = 20.0'
+    toml = slab(2.0, air).replace(f"conductivity_W_mK = {K}", "conductivity_W_mK = 200.0")
+    toml = toml.replace("temperature_C = 20.0", "temperature_C = 300.0")
+    model, run = make_rig(toml, time_s, {}, {"a": '"slab.bottom"'})
+
+    def rate(_, t):
+        lost = 6.0 * (t - 20.0) + 0.92 * 5.670374419e-8 * ((t + 273.15) ** 4 - 293.15**4)
+        return -lost / (RHO * C * 0.002)
+
+    lump = solve_ivp(rate, (0.0, 600.0), [300.0], t_eval=time_s, rtol=1e-9, atol=1e-9).y[0]
+    face = model.solve(model.prepare(run, NEVER), {"h": 6.0}).column("a")
+    assert face == pytest.approx(lump, abs=0.05)
+    assert lump[-1] < 150.0
 
 
 def test_heat_from_both_sides_stays_symmetric(make_rig):
