@@ -13,7 +13,7 @@ from softsensor.effects.parameters import Parameter
 RATE_140 = 0.06
 """Rate at 140 °C; at the 165 °C of a closed press most of the resin cures within 10 to 20 s. [1/s] By hand."""
 ACTIVATION = 80e3
-"""Activation energy of that cure. [J/mol] By hand."""
+"""Activation energy of that cure. [J/mol] By hand. Both are those of deploy/resins/melamine_formaldehyde.toml."""
 MOST_KJ_M2 = 80.0
 """More than any paper releases, of each face. [kJ/m²] By hand."""
 SKIN = 0.15e-3
