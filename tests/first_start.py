@@ -16,7 +16,7 @@ from daq import compiled
 from daq.compiled_ahead import Listed, write_list
 from daq.shared import shared_files
 from softsensor.jobs import first_start
-from softsensor.jobs.first_start import Work, list_of
+from softsensor.jobs.first_start import WorkKind, list_of
 from softsensor.jobs.warm_up import warm_up
 
 ROOT = Path(__file__).parents[1]
@@ -26,7 +26,7 @@ def do(work):
     """Do what a list is for, on what comes with the package."""
     press = softsensor.read_press(shared_files() / "presses/lab.toml")
     run = softsensor.read_run(shared_files() / "samples/2026-03-04-07.csv")
-    if work is Work.LIVE:
+    if work is WorkKind.LIVE:
         warm_up(press)
     else:
         softsensor.fit(run, press)
@@ -67,9 +67,9 @@ def recorded(work):
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        write_list(list_of(Work(sys.argv[1])), recorded(Work(sys.argv[1])))
+        write_list(list_of(WorkKind(sys.argv[1])), recorded(WorkKind(sys.argv[1])))
     else:
-        for work in Work:
+        for work in WorkKind:
             with tempfile.TemporaryDirectory() as folder:
                 place, command = (
                     os.environ | {"NUMBA_CACHE_DIR": folder},

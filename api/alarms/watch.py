@@ -70,7 +70,7 @@ def _send_next(store: Store, ways: Mapping[str, Way], clock: Callable[[], dateti
     return True
 
 
-class _Watch:
+class _AlarmWatch:
     """The two threads, and what is reported of them."""
 
     def __init__(self, store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> None:
@@ -127,7 +127,7 @@ def watching(
     store: Store, ways: Sequence[Way], clock: Callable[[], datetime] = utc_now
 ) -> Iterator[Callable[[], Message | None]]:
     """Watch and send until the block ends; it is given what returns why one of the two stands still, or None."""
-    watch = _Watch(store, ways, clock)
+    watch = _AlarmWatch(store, ways, clock)
     watch.start()
     try:
         yield watch.stalled

@@ -111,12 +111,12 @@ def predict(asked: PredictOptions) -> None:
     paper = read_resin(asked.resin) if asked.resin is not None else None
     (loaded,) = load_runs([asked.run], described, asked.store, asked.config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
-        from softsensor.jobs.first_start import Work, compile_for
+        from softsensor.jobs.first_start import WorkKind, compile_for
         from softsensor.jobs.model_files import read_model
         from softsensor.live.panels import panel_remark
         from softsensor.live.replay import replay
 
-        compile_for(Work.LIVE)
+        compile_for(WorkKind.LIVE)
         known = read_model(asked.model) if asked.model is not None else None
         if known is not None:
             _check_model((described, press_for_run(described, loaded)), known, asked.model)

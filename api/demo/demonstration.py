@@ -51,7 +51,7 @@ VIEWS = ("now", "wall", "runs", "coefficients", "diagnosis", "nights")
 PRESS = "lab"
 """The virtual press's name."""
 USUAL_CYCLE_S = 130.0
-"""From one panel's removal to the next one's, on average over the ranges of `PressSettings`. [s]"""
+"""From one panel's removal to the next one's, on average over the ranges of `VirtualPressSettings`. [s]"""
 
 
 def run_demo(plan: DemoPlan, children: Children, show: Callable[[Message | str], None], *, kept: bool) -> None:

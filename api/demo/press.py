@@ -21,7 +21,7 @@ import numpy as np
 
 from daq.simulated.campaign_sensors import CHANNELS, PLATENS
 from daq.simulated.devices import simulated, wiring
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 
 FAST_MODE_S = 0.1
 """An ADAM-4118 in its fast mode converts its eight inputs in about this time. [s]"""
@@ -43,7 +43,7 @@ AMBIENT_INPUT = ("",)
 def virtual_press_of(settings: dict[str, Any]) -> VirtualPress:
     """Return the virtual press of these settings; two of the same settings agree at all times."""
     return VirtualPress(
-        PressSettings(hide=tuple(settings["hide"]), keep=settings["keep"], first_panel_s=FIRST_PANEL_S),
+        VirtualPressSettings(hide=tuple(settings["hide"]), keep=settings["keep"], first_panel_s=FIRST_PANEL_S),
         settings["seed"],
     )
 

@@ -101,7 +101,7 @@ class _Readers:
 
 
 @dataclass
-class _Press:
+class _PressNodes:
     """The nodes of one press and what they show."""
 
     name: str
@@ -142,7 +142,7 @@ class PressServer:
         self.address = ""
         self._steps = Steps("opcua")
         self._store, self._settings, self._tokens, self._clock = store, settings, tokens, clock
-        self._presses: dict[str, _Press] = {}
+        self._presses: dict[str, _PressNodes] = {}
 
     def stalled(self) -> Message | None:
         """Return that it stands still; None while it works or waits."""
@@ -230,7 +230,7 @@ class PressServer:
             for event in events:
                 await self._send_event(server, self._presses[name], event)
 
-    async def _show(self, server: Server, press: _Press, present: Present, index: int) -> None:
+    async def _show(self, server: Server, press: _PressNodes, present: Present, index: int) -> None:
         for channel in present.channels:
             if f"channel.{channel.name}" not in press.nodes:
                 await _add_channel(press, channel, index)
@@ -243,14 +243,14 @@ class PressServer:
         for key, text in _texts(present).items():
             await _write(server, press, key, text, ua.StatusCodes.Good, utc)
 
-    async def _send_event(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
+    async def _send_event(self, server: Server, press: _PressNodes, event: StoredPressEvent) -> None:
         press.last_event = event.number
         await self._show_event(server, press, event)
         press.events.event.Message = ua.LocalizedText(event.kind)
         press.events.event.Severity = 100
         await press.events.trigger(message=event.kind)
 
-    async def _show_event(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
+    async def _show_event(self, server: Server, press: _PressNodes, event: StoredPressEvent) -> None:
         await _write(server, press, "event", event.kind, ua.StatusCodes.Good, event.utc)
 
 
@@ -277,7 +277,7 @@ def _live(present: Present) -> bool:
     return present.scan is not None and present.late is None
 
 
-def _channel_values(press: _Press, present: Present) -> dict[str, tuple[float, int]]:
+def _channel_values(press: _PressNodes, present: Present) -> dict[str, tuple[float, int]]:
     """Return value and status of every channel the press ever had; one that is gone has no communication."""
     known = (key for key in press.nodes if key.startswith("channel."))
     scan, names = present.scan, (channel.name for channel in present.channels)
@@ -327,9 +327,9 @@ def _texts(present: Present) -> dict[str, str]:
     }
 
 
-async def _make_press(server: Server, root: Node, index: int, name: str) -> _Press:
+async def _make_press(server: Server, root: Node, index: int, name: str) -> _PressNodes:
     home = await root.add_object(ua.NodeId(name, index), name)
-    press = _Press(name)
+    press = _PressNodes(name)
     for key, unit in _ESTIMATES.items():
         press.nodes[key] = await _add_number(home, index, f"{name}.{key}", key, _meaning(key), unit)
     node = await home.add_variable(ua.NodeId(f"{name}.{_LEAVE}", index), _LEAVE, False, ua.VariantType.Boolean)
@@ -344,7 +344,7 @@ async def _make_press(server: Server, root: Node, index: int, name: str) -> _Pre
     return press
 
 
-async def _add_channel(press: _Press, channel: Channel, index: int) -> None:
+async def _add_channel(press: _PressNodes, channel: Channel, index: int) -> None:
     warm = channel.unit == "C"
     unit = _CELSIUS if warm else (channel.unit, channel.unit, _NO_CODE)
     kind = "thermocouple" if warm else "pressure" if channel.unit else "wire"
@@ -380,7 +380,7 @@ async def _describe(node: Node, meaning: Message) -> None:
 
 
 async def _write(
-    server: Server, press: _Press, key: str, value: float | str, code: int, utc: datetime | None
+    server: Server, press: _PressNodes, key: str, value: float | str, code: int, utc: datetime | None
 ) -> None:
     """Write a value where it, its status or its time has changed."""
     shown = ("nan" if value != value else value, code, utc)

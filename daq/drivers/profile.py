@@ -26,7 +26,7 @@ REGISTERS: Mapping[str, int] = {"s16": 1, "u16": 1, "s32": 2, "u32": 2, "f32": 2
 """Registers a value takes in each format."""
 
 
-class _Table(BaseModel):
+class _ProfileTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -34,7 +34,7 @@ TCP_PORT = 502
 """Of a Modbus device on a network, registered with IANA (MODBUS Messaging on TCP/IP, section 4.2)."""
 
 
-class SerialLine(_Table):
+class SerialLine(_ProfileTable):
     """Factory setting of the port."""
 
     baud: int
@@ -44,7 +44,7 @@ class SerialLine(_Table):
     xonxoff: bool = False
 
 
-class Timing(_Table):
+class Timing(_ProfileTable):
     """How fast the device is."""
 
     response_s: float = Field(gt=0)
@@ -65,7 +65,7 @@ class Timing(_Table):
     """All inputs unchanged for so long: the converter has stopped."""
 
 
-class Block(_Table):
+class Block(_ProfileTable):
     """The one Modbus read that fetches all values."""
 
     function: Literal[1, 2, 3, 4]
@@ -78,7 +78,7 @@ class Block(_Table):
     later than any drain from the reply to the next request."""
 
 
-class Field16(_Table):
+class Field16(_ProfileTable):
     """Values in the block: the first stands at register ``at``, the next ``stride`` further."""
 
     at: int = Field(default=0, ge=0)
@@ -94,7 +94,7 @@ class Field16(_Table):
         return self.stride or REGISTERS[self.format]
 
 
-class Scaling(_Table):
+class Scaling(_ProfileTable):
     """Physical value = raw x scale + offset; or a full-scale code and what it stands for."""
 
     scale: float | None = None
@@ -117,7 +117,7 @@ class Scaling(_Table):
         return (self.full_value or 0.0) / (self.full_code or 1.0)
 
 
-class ErrorValue(_Table):
+class ErrorValue(_ProfileTable):
     """A raw value that is no measurement."""
 
     raw: float
@@ -126,7 +126,7 @@ class ErrorValue(_Table):
     """Believe it only when the status says so too, because the code is also a possible value."""
 
 
-class StatusBits(_Table):
+class StatusBits(_ProfileTable):
     """A second read, of one bit an input."""
 
     function: Literal[1, 2]
@@ -135,7 +135,7 @@ class StatusBits(_Table):
     """``range``: out of range, over or under as the value stands; open where it stands inside."""
 
 
-class StatusCodes(_Table):
+class StatusCodes(_ProfileTable):
     """A register an input, inside the block."""
 
     at: int = Field(ge=0)
@@ -143,7 +143,7 @@ class StatusCodes(_Table):
     """Register value, as text, to what it means; 0 is good unless listed."""
 
 
-class ColdJunction(_Table):
+class ColdJunction(_ProfileTable):
     """Where the terminal temperature of a device that reports voltages comes from."""
 
     kind: Literal["setting", "implied"]
@@ -152,7 +152,7 @@ class ColdJunction(_Table):
     scale: float = 1.0
 
 
-class Check(_Table):
+class Check(_ProfileTable):
     """A read at set-up whose answer must be as expected, else the device is not what we think."""
 
     what: str
@@ -163,7 +163,7 @@ class Check(_Table):
     """One value for all, or one each."""
 
 
-class Write(_Table):
+class Write(_ProfileTable):
     """A write at set-up; ``stride`` repeats it for every input in use."""
 
     what: str
@@ -173,7 +173,7 @@ class Write(_Table):
     stride: int | None = None
 
 
-class Ascii(_Table):
+class Ascii(_ProfileTable):
     """ADAM and DCON modules: ``#AA`` and what answers it."""
 
     width: int = 7
@@ -184,7 +184,7 @@ class Ascii(_Table):
     """What ``$AAM`` must contain."""
 
 
-class Scpi(_Table):
+class Scpi(_ProfileTable):
     """Instruments of the 34970A family."""
 
     first_channel: int = 101
@@ -195,7 +195,7 @@ class Scpi(_Table):
     """What ``*IDN?`` must contain."""
 
 
-class Limits(_Table):
+class Limits(_ProfileTable):
     """What the device can measure. [°C]"""
 
     lower_C: float = -270.0  # noqa: N815
@@ -204,7 +204,7 @@ class Limits(_Table):
     """Outside, the device goes on showing the end itself: a value there is none."""
 
 
-class Profile(_Table):
+class Profile(_ProfileTable):
     """A device."""
 
     name: str

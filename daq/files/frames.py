@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from daq.files.instants import STARTED, for_json, from_json, seconds_of
-from daq.files.layout import Layout, layout_of, nanoseconds_of, with_index, with_kinds
+from daq.files.layout import TableLayout, layout_of, nanoseconds_of, with_index, with_kinds
 from daq.files.qualities import OTHERS, QUALITY, rows_alike, without_unusable
 from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
 from daq.given import refused, warn
@@ -60,7 +60,7 @@ def frame_of(run: Run, *, utc: bool = False, as_given: bool = False) -> pd.DataF
         raise refused(run, "given-no-run")
     index = _instants(run) if utc else pd.Index(run.time_s, name=TIME)
     frame = pd.DataFrame({**run.columns, **run.texts}, index=index)
-    if isinstance(run.layout, Layout):
+    if isinstance(run.layout, TableLayout):
         frame = with_kinds(frame, run.layout, run)
         frame = with_index(frame, run.layout, run) if as_given and not utc else frame
     frame.attrs.update(attrs_of(run))

@@ -24,7 +24,7 @@ WHOLE = 2**53
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class TableLayout:
     """What a table had that a run has not."""
 
     kinds: Mapping[str, Any]
@@ -57,12 +57,12 @@ class Layout:
         return None if (found < 0).any() else found
 
 
-def _made(held: Mapping[str, Any]) -> Layout:
-    layout = Layout(**held)
+def _made(held: Mapping[str, Any]) -> TableLayout:
+    layout = TableLayout(**held)
     return replace(layout, kinds=MappingProxyType(layout.kinds), kept=MappingProxyType(layout.kept))
 
 
-def layout_of(frame: pd.DataFrame, times: pd.Series[Any], run: Run) -> Layout:
+def layout_of(frame: pd.DataFrame, times: pd.Series[Any], run: Run) -> TableLayout:
     """Return how a table is laid out whose times are these, and which became this run."""
     in_index = TIME not in frame.columns
     kinds = {str(column): kind for column, kind in frame.dtypes.items()} | {TIME: times.dtype}
@@ -89,7 +89,7 @@ def _is_more_than_held(given: pd.Series[Any]) -> bool:
     return bool(gaps) or pd.api.types.is_object_dtype(given.dtype)
 
 
-def with_kinds(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
+def with_kinds(frame: pd.DataFrame, layout: TableLayout, run: Run) -> pd.DataFrame:
     """Return a run's table with its columns in the order and of the kinds of its layout."""
     order = [column for column in layout.kinds if column in frame.columns]
     order += [column for column in frame.columns if column not in layout.kinds]
@@ -104,7 +104,7 @@ def with_kinds(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
     return (frame.assign(**changed) if changed else frame).rename_axis(columns=layout.heads)
 
 
-def _as_given(values: pd.Series[Any], layout: Layout, places: Any) -> pd.Series[Any]:
+def _as_given(values: pd.Series[Any], layout: TableLayout, places: Any) -> pd.Series[Any]:
     """Return a column as it was given, as far as the run still says the same of it."""
     column = str(values.name)
     if column in layout.kept and places is not None:
@@ -114,7 +114,7 @@ def _as_given(values: pd.Series[Any], layout: Layout, places: Any) -> pd.Series[
     return _of_kind(values, layout.kinds[column])
 
 
-def with_index(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
+def with_index(frame: pd.DataFrame, layout: TableLayout, run: Run) -> pd.DataFrame:
     """Return a run's table with its times where the layout has them, as instants, durations or seconds."""
     times = _times(run, layout)
     if layout.in_index:
@@ -138,7 +138,7 @@ def _evenly(times: pd.Index, freq: Any) -> pd.Index:
         return times
 
 
-def _times(run: Run, layout: Layout) -> pd.Index:
+def _times(run: Run, layout: TableLayout) -> pd.Index:
     kind = layout.kinds[TIME]
     if not pd.api.types.is_datetime64_any_dtype(kind) and not pd.api.types.is_timedelta64_dtype(kind):
         return pd.Index(_of_kind(pd.Series(run.time_s), kind))

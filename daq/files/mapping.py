@@ -69,11 +69,11 @@ _DAY_S = 86400.0
 """By definition; a clock that jumps back by more than half of it has passed midnight. [s]"""
 
 
-class _Table(BaseModel):
+class _MappingTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class FileTable(_Table):
+class FileTable(_MappingTable):
     """``[file]``: how the text is laid out."""
 
     encoding: str = "utf-8-sig"
@@ -85,7 +85,7 @@ class FileTable(_Table):
     missing: tuple[str, ...] = ("", "NaN", "nan", "NA", "---")
 
 
-class TimeTable(_Table):
+class TimeTable(_MappingTable):
     """``[time]``: what the time column holds."""
 
     column: str | tuple[str, ...]
@@ -110,7 +110,7 @@ class TimeTable(_Table):
         return (self.column,) if isinstance(self.column, str) else self.column
 
 
-class ColumnTable(_Table):
+class ColumnTable(_MappingTable):
     """``[[column]]``: one column of the run file."""
 
     source: str | tuple[str, ...] = Field(alias="from", min_length=1)
@@ -134,7 +134,7 @@ class ColumnTable(_Table):
         return next((source for source in self.sources if source in names), None)
 
 
-class ComputedTable(_Table):
+class ComputedTable(_MappingTable):
     """``[[computed]]``: a weighted sum of mapped columns, empty where one of them is."""
 
     to: str = Field(min_length=1)
@@ -143,7 +143,7 @@ class ComputedTable(_Table):
     offset: float = 0.0
 
 
-class HeaderFrom(_Table):
+class HeaderFrom(_MappingTable):
     """``[header_from.KEY]``: a header key from the first or last value of a mapped column."""
 
     column: str
@@ -152,7 +152,7 @@ class HeaderFrom(_Table):
     row: Literal["first", "last"] = "first"
 
 
-class Variant(_Table):
+class Variant(_MappingTable):
     """``[[variant]]``: header keys for files whose name matches."""
 
     match: str
@@ -161,7 +161,7 @@ class Variant(_Table):
     """What it answers; a file that matches two answers to one question is refused."""
 
 
-class Mapped(_Table):
+class Mapped(_MappingTable):
     """The whole mapping."""
 
     file: FileTable = FileTable()

@@ -97,7 +97,7 @@ _SLOPE_OVER_S = 2.0
 """The lower face's slope before a closing is taken over this. [s]"""
 
 
-class _Row(NamedTuple):
+class _FaceRow(NamedTuple):
     """A scan: the faces' medians, the plate, and the usable sensors of each face."""
 
     time: float
@@ -124,7 +124,7 @@ class PressEventDetector:
     def __init__(self, press: Press, inserted: bool | None = None, *, placing: bool = True) -> None:
         self._columns = columns_of(press)
         self._placing = placing
-        self._rows: list[_Row] = []
+        self._rows: list[_FaceRow] = []
         self._times: list[float] = []
         """Of the rows. [s]"""
         self._top, self._bottom = Face(), Face()
@@ -221,7 +221,7 @@ class PressEventDetector:
             self._seen = time_s
         if self._first != self._first:
             self._first = time_s
-        self._rows.append(_Row(time_s, *levels, plate, top, bottom))
+        self._rows.append(_FaceRow(time_s, *levels, plate, top, bottom))
         self._times.append(time_s)
         while self._times[0] < time_s - INSERTION_S and len(self._times) > 4:
             del self._rows[0], self._times[0]
@@ -264,7 +264,7 @@ class PressEventDetector:
         opened = self._state is PressState.OPEN and self._was_closed
         return opened and time_s - self._since > CHANGE_S and time_s - self._seen > BLIND_S
 
-    def _nothing_hot(self, row: _Row) -> bool:
+    def _nothing_hot(self, row: _FaceRow) -> bool:
         """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""
         limit = ROOM_C + _COLD_SHARE * _gap(row.plate, ROOM_C)
         faces = [face for face in (row.top, row.bottom) if face == face]
@@ -302,19 +302,19 @@ class PressEventDetector:
         step = self._rows[-1].time - self._rows[-2].time if len(self._rows) > 1 else 0.0
         return max(_LOOK_BACK_S, ONE_STEP * step)
 
-    def _row_before(self, seconds: float) -> _Row | None:
+    def _row_before(self, seconds: float) -> _FaceRow | None:
         """Return the newest row at least `seconds` before the newest, or the first where all are younger."""
         rows = bisect_right(self._times, self._times[-1] - seconds)
         if rows:
             return self._rows[rows - 1]
         return self._rows[0] if len(self._rows) > 1 else None
 
-    def _bottom_before(self, seconds: float) -> _Row | None:
+    def _bottom_before(self, seconds: float) -> _FaceRow | None:
         """Return the newest row at least `seconds` before the newest that shows the lower face."""
         rows = bisect_right(self._times, self._times[-1] - seconds)
         return next((r for r in self._rows[rows - 1 :: -1] if r.bottom == r.bottom), None) if rows else None
 
-    def _closed(self, now: _Row, then: _Row) -> bool:
+    def _closed(self, now: _FaceRow, then: _FaceRow) -> bool:
         """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
         if now.top == now.top and then.top == then.top:
             gap = _gap(now.plate, then.top)
@@ -329,7 +329,7 @@ class PressEventDetector:
         least = max(_LOWER_CLOSING_K, _LOWER_CLOSING_SHARE * gap)
         return gap > _LOWER_GAP_K and now.bottom - then.bottom - max(expected, 0.0) > least
 
-    def _slope_before(self, then: _Row) -> float:
+    def _slope_before(self, then: _FaceRow) -> float:
         """Return how fast the lower face moved before a row. [K/s]"""
         since = then.time - _SLOPE_OVER_S
         early = [r for r in self._rows if since <= r.time <= then.time and r.bottom == r.bottom]
@@ -337,7 +337,7 @@ class PressEventDetector:
             return 0.0
         return (early[-1].bottom - early[0].bottom) / (early[-1].time - early[0].time)
 
-    def _opened(self, now: _Row, then: _Row) -> bool:
+    def _opened(self, now: _FaceRow, then: _FaceRow) -> bool:
         """Both faces fall at once; the lower may stay where panel and plates had become equally hot."""
         if now.time - self._since < _OPENING_AFTER_S:
             return False
@@ -351,7 +351,7 @@ class PressEventDetector:
             return top > _ONE_FACE_TOP_K and _most_fell(now.tops, then.tops)
         return bottom > _ONE_FACE_BOTTOM_K and _most_fell(now.bottoms, then.bottoms)
 
-    def _sank(self, now: _Row, then: _Row | None) -> bool:
+    def _sank(self, now: _FaceRow, then: _FaceRow | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
         if then is None or then.time < self._since + OPENS_AFTER_S:
             return False
@@ -360,7 +360,7 @@ class PressEventDetector:
             return False
         return _most_fell(now.tops, then.tops)
 
-    def _inserted(self, now: _Row, then: _Row) -> bool:
+    def _inserted(self, now: _FaceRow, then: _FaceRow) -> bool:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""
         if now.bottom != now.bottom or then.bottom != then.bottom:
             return self._upper_only(now, then)
@@ -371,7 +371,7 @@ class PressEventDetector:
             return True
         return early.bottom < HAND_C and self._jumped(now, early, _SLOW_INSERTION_SHARE)
 
-    def _jumped(self, now: _Row, then: _Row, share: float) -> bool:
+    def _jumped(self, now: _FaceRow, then: _FaceRow, share: float) -> bool:
         """Whether the lower face alone rose by a share of its distance to the plate."""
         gap, rise = _gap(now.plate, then.bottom), now.bottom - then.bottom
         if not (gap > _LEAST_GAP_K and rise > max(_INSERTION_K, share * gap)):
@@ -380,14 +380,14 @@ class PressEventDetector:
             return False
         return _together(now.bottoms, then.bottoms, 0.5 * share * gap)
 
-    def _upper_only(self, now: _Row, then: _Row) -> bool:
+    def _upper_only(self, now: _FaceRow, then: _FaceRow) -> bool:
         """Where no sensor of the lower face is read, not only for a scan, the upper one has warmed."""
         early = self._row_before(_SLOW_S) or then
         if self._bottom_before(0.0) is not None or not now.top > _HAND_RATIO * HAND_C:
             return False
         return now.top > then.top and now.top - early.top > _WARMED_K
 
-    def _removed(self, now: _Row) -> bool:
+    def _removed(self, now: _FaceRow) -> bool:
         """The lower face lost its plate, and then got cold or its sensors came off one by one."""
         by_bottom = any(row.bottom == row.bottom for row in self._rows)
         level = now.bottom if by_bottom else now.top
@@ -413,14 +413,14 @@ class PressEventDetector:
         self._lifted = (moment, min(level, lowest), spread)
         return level < ROOM_C + _COOLING_SHARE * gap or self._spread(now) > spread + _SPREAD_K
 
-    def _spread(self, now: _Row) -> float:
+    def _spread(self, now: _FaceRow) -> float:
         """Return how far the lower face's sensors lie apart, without the two most extreme where there are many."""
         values = sorted(now.bottoms.values())
         if len(values) < 2:
             return 0.0
         return values[-2] - values[1] if len(values) >= 4 else values[-1] - values[0]
 
-    def _left_plate(self, now: _Row) -> bool:
+    def _left_plate(self, now: _FaceRow) -> bool:
         """Whether the lower face falls against its trend."""
         if now.bottom != now.bottom or now.time - self._since < _LEFT_AFTER_S:
             return False

@@ -28,7 +28,7 @@ _BRIDGED_S = 3.0
 
 
 @dataclass(frozen=True)
-class Columns:
+class PressColumns:
     """Which columns hold what, by patterns of the press file."""
 
     top: tuple[str, ...]
@@ -44,7 +44,7 @@ def _matching(names: Sequence[str], patterns: Sequence[str]) -> tuple[str, ...]:
     return tuple(n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns))
 
 
-def columns_of(press: Press) -> Columns:
+def columns_of(press: Press) -> PressColumns:
     """Return the patterns of face and platen columns of a press file."""
     faces: dict[str, list[str]] = {"top": [], "bottom": []}
     for sensor in press.sensor:
@@ -53,7 +53,7 @@ def columns_of(press: Press) -> Columns:
         layer, _, place = sensor.at.rpartition(".")
         if layer in press.panel_layers and place in faces:
             faces[place] += sensor.columns
-    return Columns(tuple(faces["top"]), tuple(faces["bottom"]), press.platens)
+    return PressColumns(tuple(faces["top"]), tuple(faces["bottom"]), press.platens)
 
 
 def middle(values: list[float]) -> float:

@@ -99,7 +99,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class _Press:
+class _CampaignPress:
     """What a campaign's runs have in common."""
 
     plan: Plan
@@ -163,7 +163,7 @@ def write_campaign(folder: Path, campaign: Sequence[tuple[Run, Truth]], position
 
 def _draw_press(
     rng: np.random.Generator, seed: int, effects: Effects | Sequence[str] | str | None, plan: Plan
-) -> _Press:
+) -> _CampaignPress:
     given = {} if effects is None else effects
     names = [given] if isinstance(given, str) else list(given)
     inside, outer = split_names(names)
@@ -179,7 +179,7 @@ def _draw_press(
     lead = 0.0 if rng.random() < 0.5 else float(rng.uniform(5.0, 20.0))
     switch, spread = bool(rng.random() < 0.5), float(rng.uniform(0.12, 0.30))
     controller, density, explicit = draw_controller(rng), float(rng.uniform(715, 765)), bool(rng.random() < 0.5)
-    return _Press(
+    return _CampaignPress(
         plan=plan,
         name=f"v{seed}",
         rate_hz=plan.rate_hz or rate,
@@ -196,7 +196,7 @@ def _draw_press(
     )
 
 
-def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
+def _make_run(press: _CampaignPress, seed: int, number: int) -> tuple[Run, Truth]:
     rng, hidden = np.random.default_rng([seed, 1, number]), np.random.default_rng([seed, 2, number])
     pressing, setpoint = _draw_pressing(press, rng)
     run_effects = {n: for_run(n, p, hidden, press.plan.effect_spread) for n, p in press.effects.items()}
@@ -244,7 +244,9 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     )
 
 
-def _scan_times(press: _Press, pressing: Pressing, rng: np.random.Generator, hidden: np.random.Generator) -> Array:
+def _scan_times(
+    press: _CampaignPress, pressing: Pressing, rng: np.random.Generator, hidden: np.random.Generator
+) -> Array:
     """Return when the logger scans, from 0 on, with its jitter and perhaps a gap (rows). [s]"""
     period = 1.0 / press.rate_hz
     n = int((pressing.end - pressing.start) / period)
@@ -257,7 +259,7 @@ def _scan_times(press: _Press, pressing: Pressing, rng: np.random.Generator, hid
     return np.asarray(times)
 
 
-def _draw_pressing(press: _Press, rng: np.random.Generator) -> tuple[Pressing, float]:
+def _draw_pressing(press: _CampaignPress, rng: np.random.Generator) -> tuple[Pressing, float]:
     """Return one pressing without effects, and its platens' set point."""
     plan = press.plan
     inserted = press.start_before_s
@@ -301,7 +303,7 @@ def _draw_pressing(press: _Press, rng: np.random.Generator) -> tuple[Pressing, f
 
 
 def _header(
-    press: _Press, pressing: Pressing, name: str, setpoint: float, rng: np.random.Generator
+    press: _CampaignPress, pressing: Pressing, name: str, setpoint: float, rng: np.random.Generator
 ) -> dict[str, object]:
     nuisances = press.plan.nuisances
     start = pressing.panel.initial_temperature + rng.normal(0.0, nuisances.start_error_K)

@@ -10,7 +10,7 @@ import numpy as np
 from daq.records import Array
 from daq.simulated.campaign_platens import KNOT_S
 from daq.simulated.campaign_sensors import FACES, POSITIONS_MM, RIM_SHAPE
-from daq.simulated.physics import Solution, solve
+from daq.simulated.physics import SolvedPressing, solve
 from daq.simulated.physics_mesh import Accuracy
 from daq.simulated.physics_pressing import Platen, Pressing
 
@@ -27,7 +27,7 @@ class Places:
     """Mean over the face, at mid-depth."""
     channels: Mapping[str, Curve]
     """The 14 thermocouples on the panel."""
-    mean: Solution
+    mean: SolvedPressing
 
 
 def solve_places(
@@ -83,9 +83,9 @@ def _without_heater(pressing: Pressing, zone: Mapping[str, float]) -> Platen:
     return replace(platen, values=platen.values - HEATER_LOSS_K * fallen)
 
 
-def _curve(solution: Solution, signal: str) -> Curve:
+def _curve(solution: SolvedPressing, signal: str) -> Curve:
     return lambda t: solution.at(signal, t)
 
 
-def _mean_curve(a: Solution, b: Solution, signal: str) -> Curve:
+def _mean_curve(a: SolvedPressing, b: SolvedPressing, signal: str) -> Curve:
     return lambda t: 0.5 * (a.at(signal, t) + b.at(signal, t))

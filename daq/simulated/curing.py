@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.records import Array
-from daq.simulated.physics import Solution
+from daq.simulated.physics import SolvedPressing
 from daq.simulated.physics_mesh import GAS_CONSTANT
 
 STEP_S = 0.02
@@ -42,7 +42,7 @@ def draw_paper(
     )
 
 
-def cured(solution: Solution, paper: Paper, times: Array) -> tuple[Array, Array]:
+def cured(solution: SolvedPressing, paper: Paper, times: Array) -> tuple[Array, Array]:
     """Return the degree of cure of the lower and the upper face at any times of the run."""
     first, last = solution.steps["time"][[0, -1]]
     grid = np.linspace(first, last, 2 * round((last - first) / (2 * STEP_S)) + 1)

@@ -30,7 +30,7 @@ _STEPPING = {"fast": (1e-3, 0.5), "accurate": (1e-5, 0.1)}
 
 
 @dataclass(frozen=True)
-class Solution:
+class SolvedPressing:
     """A solved pressing: values after each step, and any time in between."""
 
     steps: Mapping[str, Array]
@@ -46,7 +46,9 @@ class Solution:
         return np.asarray(kernel.interpolate(self.steps["time"], self.steps[signal], self.bounds, wanted))
 
 
-def solve(pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, Array] | None = None) -> Solution:
+def solve(
+    pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, Array] | None = None
+) -> SolvedPressing:
     """Integrate a pressing from its start to its end.
 
     Parameters
@@ -56,7 +58,7 @@ def solve(pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, 
     accuracy
         ``fast`` agrees with ``accurate`` within 0.02 K at core and faces and takes a few milliseconds.
     plates
-        Node temperatures to start from, as an earlier `Solution` ended; else the plates stand steady
+        Node temperatures to start from, as an earlier `SolvedPressing` ended; else the plates stand steady
         without a panel, as the contract's ``[initial] kind = "steady"`` says.
     """
     mesh = build_mesh(pressing, accuracy)
@@ -72,7 +74,7 @@ def solve(pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, 
         last += written
         bounds.append(last)
     steps = {name: out[:last, i].copy() for i, name in enumerate(("time", *kernel.SIGNALS))}
-    return Solution(steps, np.array(bounds), (y.T[: mesh.stack.lower + 1], y.T[mesh.stack.upper :]))
+    return SolvedPressing(steps, np.array(bounds), (y.T[: mesh.stack.lower + 1], y.T[mesh.stack.upper :]))
 
 
 def _breakpoints(pressing: Pressing) -> list[float]:

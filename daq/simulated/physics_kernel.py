@@ -136,7 +136,7 @@ class Knobs(NamedTuple):
     flash_to: float
 
 
-class Stack(NamedTuple):
+class PressStack(NamedTuple):
     """What stays the same over a pressing: nodes, their links and capacities, the platens' curves."""
 
     lower: int
@@ -165,7 +165,7 @@ class Stack(NamedTuple):
     """The platens' knots."""
 
 
-class State(NamedTuple):
+class NodeState(NamedTuple):
     """What changes: or its rate of change, or a stage's increment."""
 
     T: Array
@@ -175,7 +175,7 @@ class State(NamedTuple):
     """Cure of the lower and the upper face, heat from outside [J/m²], lower and upper thermocouple."""
 
 
-class At(NamedTuple):
+class Instant(NamedTuple):
     """A time, and a time inside the stretch between two jumps that it belongs to, which decides what is on."""
 
     t: float
@@ -202,7 +202,7 @@ class Matrix(NamedTuple):
     """Latent heat over heat capacity of each panel node. [K]"""
 
 
-class Step(NamedTuple):
+class StepTerms(NamedTuple):
     """What the matrix of a step rests on beside the state."""
 
     inverse: float
@@ -276,7 +276,7 @@ def present(middle: float, k: Knobs) -> bool:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def links(at: At, T: Array, k: Knobs, s: Stack, flow: Flow) -> float:
+def links(at: Instant, T: Array, k: Knobs, s: PressStack, flow: Flow) -> float:
     """Fill conductances and losses; return the closed fraction."""
     n, g, loss = T.size, flow.g, flow.loss
     f = closed_fraction(at.t, k) if present(at.middle, k) else 0.0
@@ -321,7 +321,7 @@ def pressed(t: float, k: Knobs) -> float:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def contacts(at: At, f: float, T: Array, k: Knobs, s: Stack, flow: Flow) -> None:
+def contacts(at: Instant, f: float, T: Array, k: Knobs, s: PressStack, flow: Flow) -> None:
     """Fill the links between plates and panel, and what the open faces lose to air."""
     g, loss, middle = flow.g, flow.loss, at.middle
     since = max(at.t - 0.5 * (k.close_0 + k.close_1), 0.0)
@@ -368,7 +368,7 @@ def curing(face: float, k: Knobs) -> float:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def steam(f: float, T: Array, k: Knobs, s: Stack, q: Array) -> None:
+def steam(f: float, T: Array, k: Knobs, s: PressStack, q: Array) -> None:
     """Move heat from layers above 100 °C to cooler ones; what one gives the others take."""
     hot = room = 0.0
     for i in range(s.volume.size):
@@ -386,7 +386,7 @@ def steam(f: float, T: Array, k: Knobs, s: Stack, q: Array) -> None:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def sources(at: At, f: float, y: State, k: Knobs, s: Stack, d: State) -> float:
+def sources(at: Instant, f: float, y: NodeState, k: Knobs, s: PressStack, d: NodeState) -> float:
     """Add what happens inside the panel to the heat flows `d.T` [W/m²]; return the heat from outside."""
     m, external = s.volume.size, 0.0
     if k.edge > 0.0:
@@ -420,7 +420,7 @@ def sources(at: At, f: float, y: State, k: Knobs, s: Stack, d: State) -> float:
 
 
 @compiled(nogil=True, error_model="numpy")
-def slope(at: At, y: State, k: Knobs, s: Stack, flow: Flow, d: State) -> float:
+def slope(at: Instant, y: NodeState, k: Knobs, s: PressStack, flow: Flow, d: NodeState) -> float:
     """Fill the rates of change `d` (and links on the way); return the closed fraction."""
     T, n, g, loss = y.T, y.T.size, flow.g, flow.loss
     f: float = links(at, T, k, s, flow)
@@ -451,7 +451,7 @@ def slope(at: At, y: State, k: Knobs, s: Stack, flow: Flow, d: State) -> float:
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def factor(step: Step, y: State, k: Knobs, s: Stack, flow: Flow, a: Matrix) -> None:
+def factor(step: StepTerms, y: NodeState, k: Knobs, s: PressStack, flow: Flow, a: Matrix) -> None:
     """Fill the matrix at one state, with links and losses already known."""
     n, g, loss, inverse = y.T.size, flow.g, flow.loss, step.inverse
     for i in range(n):
@@ -474,7 +474,7 @@ def factor(step: Step, y: State, k: Knobs, s: Stack, flow: Flow, a: Matrix) -> N
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def back_substitute(step: Step, k: Knobs, s: Stack, a: Matrix, z: State, u: State) -> None:
+def back_substitute(step: StepTerms, k: Knobs, s: PressStack, a: Matrix, z: NodeState, u: NodeState) -> None:
     """Solve the matrix for one stage: right-hand side `z` (spoilt), increment `u`."""
     n, inverse, moist, mix = z.T.size, step.inverse, step.moist, step.mix
     if moist:
@@ -498,7 +498,7 @@ def back_substitute(step: Step, k: Knobs, s: Stack, a: Matrix, z: State, u: Stat
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def combine(out: State, start: State, weights: Array, count: int, u: State) -> None:
+def combine(out: NodeState, start: NodeState, weights: Array, count: int, u: NodeState) -> None:
     """Set `out` to `start` plus the weighted sum of the first `count` increments, the rows of `u`."""
     copy(start.T, out.T)
     copy(start.w, out.w)
@@ -516,7 +516,7 @@ def combine(out: State, start: State, weights: Array, count: int, u: State) -> N
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def record(t: float, y: State, f: float, k: Knobs, s: Stack, row: Array) -> None:
+def record(t: float, y: NodeState, f: float, k: Knobs, s: PressStack, row: Array) -> None:
     """Write the time and `SIGNALS`."""
     T = y.T
     mix = k.footprint * f
@@ -540,13 +540,13 @@ def record(t: float, y: State, f: float, k: Knobs, s: Stack, row: Array) -> None
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def blank(n: int, m: int) -> State:
+def blank(n: int, m: int) -> NodeState:
     """Return a state of zeros."""
-    return State(np.zeros(n), np.zeros(m), np.zeros(5))
+    return NodeState(np.zeros(n), np.zeros(m), np.zeros(5))
 
 
 @compiled(nogil=True, error_model="numpy")
-def advance(span: tuple[float, float], y: State, k: Knobs, s: Stack, how: Stepping, out: Array) -> int:
+def advance(span: tuple[float, float], y: NodeState, k: Knobs, s: PressStack, how: Stepping, out: Array) -> int:
     """Integrate from begin to end of `span` (no jump between them), changing `y` in place.
 
     Rows are written to `out`, the first one at the begin itself; returns how many, -1 where there is no more room.
@@ -557,7 +557,7 @@ def advance(span: tuple[float, float], y: State, k: Knobs, s: Stack, how: Steppi
     inside = present(middle, k)
     moist = inside and s.latent[0] > 0.0
     flow, unused = Flow(np.empty(n + 1), np.empty(n)), Flow(np.empty(n + 1), np.empty(n))
-    u = State(np.zeros((4, n)), np.zeros((4, m)), np.zeros((4, 5)))
+    u = NodeState(np.zeros((4, n)), np.zeros((4, m)), np.zeros((4, 5)))
     stage, rate, drift, z, zero = blank(n, m), blank(n, m), blank(n, m), blank(n, m), blank(n, m)
     a = Matrix(np.empty(n), np.empty(n), np.empty(n), np.zeros(m), np.zeros(m), np.zeros(m))
     record(t, y, closed_fraction(t, k) if inside else 0.0, k, s, out[0])
@@ -569,10 +569,10 @@ def advance(span: tuple[float, float], y: State, k: Knobs, s: Stack, how: Steppi
         if t + 1.01 * h > end:
             h = end - t
         inverse = 1.0 / (GAMMA * h)
-        mix = k.footprint * slope(At(t, middle), y, k, s, flow, rate)
-        step = Step(inverse, inside, moist, mix)
+        mix = k.footprint * slope(Instant(t, middle), y, k, s, flow, rate)
+        step = StepTerms(inverse, inside, moist, mix)
         factor(step, y, k, s, flow, a)
-        slope(At(t + 1e-3 * h, middle), y, k, s, unused, drift)
+        slope(Instant(t + 1e-3 * h, middle), y, k, s, unused, drift)
         for i in range(n):
             drift.T[i] = (drift.T[i] - rate.T[i]) / (1e-3 * h)
         for i in range(5):
@@ -580,13 +580,13 @@ def advance(span: tuple[float, float], y: State, k: Knobs, s: Stack, how: Steppi
         for j in range(4):
             if j > 0:
                 combine(stage, y, A_U[j], j, u)
-                slope(At(t + T_STAGE[j] * h, middle), stage, k, s, unused, rate)
+                slope(Instant(t + T_STAGE[j] * h, middle), stage, k, s, unused, rate)
             combine(z, rate, C_U[j] / h, j, u)
             for i in range(n):
                 z.T[i] += G_STAGE[j] * h * drift.T[i]
             for i in range(5):
                 z.x[i] += G_STAGE[j] * h * drift.x[i]
-            back_substitute(step, k, s, a, z, State(u.T[j], u.w[j], u.x[j]))
+            back_substitute(step, k, s, a, z, NodeState(u.T[j], u.w[j], u.x[j]))
         combine(stage, zero, E_U, 4, u)
         error = largest(stage.T)
         error = max(error, 5.0 * largest(stage.w), abs(stage.x[3]), abs(stage.x[4])) / how.tolerance

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from daq.records import Array
-from daq.simulated.physics_kernel import Knobs, Stack, State
+from daq.simulated.physics_kernel import Knobs, NodeState, PressStack
 from daq.simulated.physics_pressing import EASING_S, LOAD_REFERENCE, Pressing
 
 Accuracy = Literal["fast", "accurate"]
@@ -40,15 +40,15 @@ _PLATE_NODES = {"fast": (0.1e-3, 1.2, 0.6e-3), "accurate": (0.04e-3, 1.08, 0.25e
 
 
 @dataclass(frozen=True)
-class Mesh:
+class PressMesh:
     """A pressing's stack, and where its panel's nodes lie."""
 
-    stack: Stack
+    stack: PressStack
     depth: Array
     """Of panel nodes, from the lower face. [m]"""
 
 
-def build_mesh(pressing: Pressing, accuracy: Accuracy) -> Mesh:
+def build_mesh(pressing: Pressing, accuracy: Accuracy) -> PressMesh:
     """Return nodes and everything attached to them, from the lower plate to the upper."""
     panel, plates, effects = pressing.panel, pressing.plates, pressing.effects
     half = _graded(panel.thickness / 2, *_PANEL_NODES[accuracy])
@@ -73,7 +73,7 @@ def build_mesh(pressing: Pressing, accuracy: Accuracy) -> Mesh:
     low, high = pressing.platen_bottom, pressing.platen_top
     if (low.start, low.step, len(low.values)) != (high.start, high.step, len(high.values)):
         raise ValueError("both platens need the same knots")
-    stack = Stack(
+    stack = PressStack(
         lower=nb - 1,
         first=first,
         last=first + m - 1,
@@ -89,10 +89,10 @@ def build_mesh(pressing: Pressing, accuracy: Accuracy) -> Mesh:
         low=low.values,
         high=high.values,
     )
-    return Mesh(stack, depth)
+    return PressMesh(stack, depth)
 
 
-def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
+def build_knobs(pressing: Pressing, mesh: PressMesh) -> Knobs:
     """Return every number of the pressing that is not attached to a node."""
     effects, outside, h = pressing.effects, pressing.outside, pressing.coefficients
 
@@ -145,7 +145,7 @@ def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
     )
 
 
-def first_state(pressing: Pressing, mesh: Mesh, plates: tuple[Array, Array] | None) -> State:
+def first_state(pressing: Pressing, mesh: PressMesh, plates: tuple[Array, Array] | None) -> NodeState:
     """Return temperatures at the start: `plates` as given, or steady without a panel between them."""
     s = mesh.stack
     T = np.full(len(s.capacity), float(pressing.panel.initial_temperature))
@@ -163,7 +163,7 @@ def first_state(pressing: Pressing, mesh: Mesh, plates: tuple[Array, Array] | No
             T[place] = profile if place is below else profile[::-1]
     x = np.zeros(5)
     x[3:] = pressing.panel.initial_temperature
-    return State(T, np.ones(len(s.volume)), x)
+    return NodeState(T, np.ones(len(s.volume)), x)
 
 
 def _graded(length: float, first: float, growth: float, largest: float) -> Array:

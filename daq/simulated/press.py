@@ -40,7 +40,7 @@ _QUIET = replace(
 
 
 @dataclass(frozen=True)
-class PressSettings:
+class VirtualPressSettings:
     """How the virtual press works. Pairs are ranges, drawn anew for each pressing."""
 
     setpoint_C: float = 200.0
@@ -97,8 +97,8 @@ class VirtualPress:
     time whose cycle has left memory raises ValueError.
     """
 
-    def __init__(self, settings: PressSettings | None = None, seed: int = 0) -> None:
-        self.settings = settings or PressSettings()
+    def __init__(self, settings: VirtualPressSettings | None = None, seed: int = 0) -> None:
+        self.settings = settings or VirtualPressSettings()
         self._seed = seed
         rng = np.random.default_rng([seed, 7])
         self.ambient = float(rng.uniform(20.0, 25.0))

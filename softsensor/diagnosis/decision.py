@@ -81,7 +81,7 @@ class Verdict(StrEnum):
     NOT_DESCRIBED = "not_described"
 
 
-class Step(StrEnum):
+class SearchStep(StrEnum):
     """Why the search goes on, or why it stopped."""
 
     CAUSE_NAMED = "cause_named"
@@ -151,7 +151,7 @@ class Evidence:
 class Choice:
     """A further cause, or the end of the search."""
 
-    step: Step
+    step: SearchStep
     set: tuple[str, ...] = ()
     """The chosen cause first, then what these runs cannot distinguish from it."""
     strongest: str = ""
@@ -165,16 +165,16 @@ class Choice:
 def choose(evidence: Evidence) -> Choice:
     """Take a further cause in, or stop."""
     if evidence.runs < 2:
-        return Choice(Step.ONE_RUN)
+        return Choice(SearchStep.ONE_RUN)
     if evidence.causes >= MOST_CAUSES:
-        return Choice(Step.ENOUGH_CAUSES)
+        return Choice(SearchStep.ENOUGH_CAUSES)
     best = strongest(evidence)
     if best is None:
         nearly = strongest(evidence, allowed=UNPROVEN)
-        step = Step.NO_CAUSE_CONVINCES if evidence.claims else Step.NOTHING_TO_TRY
+        step = SearchStep.NO_CAUSE_CONVINCES if evidence.claims else SearchStep.NOTHING_TO_TRY
         return Choice(step, suspected="" if nearly is None else nearly.name)
     names, refuted = _what_fits_as_well(evidence, best)
-    return Choice(Step.CAUSE_NAMED, names, best.name, refuted)
+    return Choice(SearchStep.CAUSE_NAMED, names, best.name, refuted)
 
 
 def strongest(evidence: Evidence, allowed: frozenset[Objection] = frozenset()) -> Claim | None:

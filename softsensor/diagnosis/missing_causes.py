@@ -31,7 +31,7 @@ import numpy as np
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
 from softsensor.fitting.constants import with_constants_of
-from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
+from softsensor.fitting.problem import Evaluation, FitProblem, constants_among, inverse, normal_equations
 from softsensor.fitting.result import left_in
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
 from softsensor.signals.student import student
@@ -80,7 +80,7 @@ CauseScores = Mapping[str, RunEvidence]
 """Of one run, by cause; the empty name is no cause at all."""
 
 
-def run_evidence(problem: Problem, at: Evaluation) -> dict[str, RunEvidence]:
+def run_evidence(problem: FitProblem, at: Evaluation) -> dict[str, RunEvidence]:
     """Return what a fitted run says about every cause its model leaves out.
 
     Parameters
@@ -115,7 +115,7 @@ def run_evidence(problem: Problem, at: Evaluation) -> dict[str, RunEvidence]:
     return found
 
 
-def candidates(problem: Problem) -> list[Effect]:
+def candidates(problem: FitProblem) -> list[Effect]:
     """Return the causes a run's model leaves out and that the run could show.
 
     Not those in whose place every run has unknowns of its own, nor one of the load where none is measured: only
@@ -169,7 +169,7 @@ def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses
     return replace(seen, runs=0, unexplained_K=max(seen.unexplained_K, float(np.median(known))))
 
 
-def _moved(problem: Problem, effect: Effect, values: Mapping[str, float], base: Array) -> list[Array]:
+def _moved(problem: FitProblem, effect: Effect, values: Mapping[str, float], base: Array) -> list[Array]:
     """Return by place what the cause at its typical size adds to the readings (rows). [K]"""
     model, case = problem.model.extended(effect), problem.case
     there = dict(values) | {effect.key(p.name): p.typical for p in effect.parameters}
@@ -180,7 +180,7 @@ def _moved(problem: Problem, effect: Effect, values: Mapping[str, float], base: 
     return [moved[:, case.columns.index(place.columns[0])] for place in problem.signals.places]
 
 
-def _rms(problem: Problem, residual: Sequence[Array]) -> float:
+def _rms(problem: FitProblem, residual: Sequence[Array]) -> float:
     """Return the residual of the places' means, their own means taken out, away from steep slopes. [K]"""
     total, count = 0.0, 0
     for i, r in enumerate(residual):

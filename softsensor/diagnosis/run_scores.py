@@ -26,7 +26,7 @@ from softsensor.signals.digest import screened_digest
 
 
 @dataclass(frozen=True)
-class Way:
+class CauseWay:
     """One way in which a cause can show: one of its parameters, or all of them, moved to one side."""
 
     effect: Effect
@@ -39,7 +39,7 @@ class Way:
 
 
 @lru_cache(maxsize=1)
-def ways() -> dict[str, Way]:
+def ways() -> dict[str, CauseWay]:
     """Return the catalogue's ways by name; what can have either sign has two for each of its parameters."""
     found = {}
     for effect in catalogue().values():
@@ -50,7 +50,7 @@ def ways() -> dict[str, Way]:
             for sign in (1.0,) if effect.one_sided else (1.0, -1.0):
                 moved = {effect.key(p.name): p.neutral + sign * PROBE * (p.typical - p.neutral) for p in several}
                 name = f"{effect.name}.{'+'.join(p.name for p in several)}{'-' * (sign < 0)}"
-                found[name] = Way(effect, neutral | moved, least, sign)
+                found[name] = CauseWay(effect, neutral | moved, least, sign)
     return found
 
 
@@ -86,7 +86,7 @@ def run_scores(model: ThermalModel, press: Press, runs: Sequence[Run]) -> dict[s
     return {name: _shown(stage, way) for name, way in ways().items() if way.effect.name in able}
 
 
-def _shown(stage: SettledModel, way: Way) -> Shown:
+def _shown(stage: SettledModel, way: CauseWay) -> Shown:
     if way.effect.needs == Need.SWITCH:  # scores have a least size of their own
         scores = way.sign * switch_scores(stage)
         return Shown(scores, np.zeros_like(scores))

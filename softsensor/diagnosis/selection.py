@@ -17,7 +17,7 @@ from softsensor.diagnosis.decision import (
     Claim,
     Evidence,
     Objection,
-    Step,
+    SearchStep,
     choose,
     explains_the_rest,
     objections,
@@ -167,7 +167,7 @@ def judge(stage: SettledModel, found: Sequence[Candidate], before: Evidence) -> 
     )
     choice = choose(evidence)
     named = {c.effect.name: c for c in found}
-    if choice.step is Step.ONE_RUN:
+    if choice.step is SearchStep.ONE_RUN:
         return Round(list(found), p, None, (), (None,))
     without = []
     for rest in (np.delete(everyone, r) for r in everyone):
@@ -182,7 +182,7 @@ def judge(stage: SettledModel, found: Sequence[Candidate], before: Evidence) -> 
 def _round(
     found: list[Candidate], p: dict[str, float], without: tuple[Candidate | None, ...], choice: Choice
 ) -> Round:
-    if choice.step is not Step.CAUSE_NAMED:
+    if choice.step is not SearchStep.CAUSE_NAMED:
         suspected = next((c for c in found if c.effect.name == choice.suspected), None)
         return Round(found, p, None, (), without, suspected=suspected)
     chosen = next(c for c in found if c.effect.name == choice.set[0])

@@ -40,7 +40,7 @@ SURE = 0.05
 """A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 
 
-class Phase(StrEnum):
+class ResidualPhase(StrEnum):
     """What the press does while residuals are averaged."""
 
     OPEN = "open"
@@ -49,7 +49,7 @@ class Phase(StrEnum):
     OPENED = "opened"
 
 
-MARGINS_S = {Phase.OPEN: 0.3, Phase.CLOSED: 0.2, Phase.OPENED: 0.0}
+MARGINS_S = {ResidualPhase.OPEN: 0.3, ResidualPhase.CLOSED: 0.2, ResidualPhase.OPENED: 0.0}
 """Bins so shortly before a phase ends may hold some of the next: half of a closing ramp of 0.6 s, or less. [s]"""
 
 
@@ -143,7 +143,7 @@ class Pocket:
     """A place and a stretch of time in which residuals of all runs are averaged."""
 
     signal: str
-    phase: Phase
+    phase: ResidualPhase
     from_s: float
     """Since the phase began; a share of the press time where `shared`. [s]"""
     to_s: float
@@ -160,8 +160,8 @@ class Pocket:
 def pockets(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Pocket]:
     """Average residuals (bins, signals) over pockets that at least half of the runs share."""
     residuals = trusted(digests, residuals)
-    stretches = [(phase, a, b, False) for phase in Phase for a, b in pairwise(SINCE_S)]
-    stretches += [(Phase.CLOSED, i / SHARES, (i + 1) / SHARES, True) for i in range(SHARES)]
+    stretches = [(phase, a, b, False) for phase in ResidualPhase for a, b in pairwise(SINCE_S)]
+    stretches += [(ResidualPhase.CLOSED, i / SHARES, (i + 1) / SHARES, True) for i in range(SHARES)]
     found = [pocket(digests, residuals, signal, *where) for signal in signals_of(digests) for where in stretches]
     return [p for p in found if np.isfinite(p.means).sum() >= max(2, (len(digests) + 1) // 2)]
 
@@ -180,7 +180,7 @@ def pocket(
     digests: Sequence[Digest],
     residuals: Sequence[Array],
     signal: str,
-    phase: Phase,
+    phase: ResidualPhase,
     from_s: float,
     to_s: float,
     shared: bool = False,
@@ -193,7 +193,7 @@ def pocket(
     return Pocket(signal, phase, from_s, to_s, shared, np.array(means))
 
 
-def inside(d: Digest, phase: Phase, from_s: float, to_s: float, shared: bool = False) -> np.ndarray:
+def inside(d: Digest, phase: ResidualPhase, from_s: float, to_s: float, shared: bool = False) -> np.ndarray:
     """Return which bins lie in a stretch of a phase (bins)."""
     begin, end = phase_of(d, phase)
     since = d.time - begin
@@ -202,15 +202,15 @@ def inside(d: Digest, phase: Phase, from_s: float, to_s: float, shared: bool = F
     return np.asarray((since >= from_s) & (since < to_s) & (d.time < end - MARGINS_S[phase]))
 
 
-def phase_of(d: Digest, phase: Phase) -> tuple[float, float]:
+def phase_of(d: Digest, phase: ResidualPhase) -> tuple[float, float]:
     """Return when a phase began and ended; infinite where it did not. [s of the run]"""
     m = d.moments
     closed = m.closed_s if np.isfinite(m.closed_s) else np.inf
     opened = m.opened_s if np.isfinite(m.opened_s) else np.inf
     return {
-        Phase.OPEN: (float(d.time[0]), closed),
-        Phase.CLOSED: (closed, opened),
-        Phase.OPENED: (opened, np.inf),
+        ResidualPhase.OPEN: (float(d.time[0]), closed),
+        ResidualPhase.CLOSED: (closed, opened),
+        ResidualPhase.OPENED: (opened, np.inf),
     }[phase]
 
 

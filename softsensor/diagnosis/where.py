@@ -13,8 +13,8 @@ from daq.words import Message, say
 from softsensor.diagnosis.decision import NEGLIGIBLE_K
 from softsensor.diagnosis.sign_flips import (
     SINCE_S,
-    Phase,
     Pocket,
+    ResidualPhase,
     inside,
     pocket,
     signals_of,
@@ -40,7 +40,7 @@ def stretches(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Poc
     found = []
     residuals = trusted(digests, residuals)
     for signal in signals_of(digests):
-        for phase in Phase:
+        for phase in ResidualPhase:
             cuts = pairwise((*SINCE_S[:-1], *LATER_S, SINCE_S[-1]))
             row = [pocket(digests, residuals, signal, phase, a, b) for a, b in cuts]
             row = [p for p in row if np.isfinite(p.means).any()]
@@ -89,7 +89,7 @@ def where_row(p: Pocket, digests: Sequence[Digest]) -> dict[str, Any]:
     phase = _phase_message(p.phase, closes)
     return {
         "signal": p.signal,
-        "state": "closed" if p.phase is Phase.CLOSED else "open",
+        "state": "closed" if p.phase is ResidualPhase.CLOSED else "open",
         "from_s": p.from_s,
         "to_s": p.to_s if goes_on else None,
         "residual_K": float(f"{p.mean:.6g}"),
@@ -100,10 +100,10 @@ def where_row(p: Pocket, digests: Sequence[Digest]) -> dict[str, Any]:
     }
 
 
-def _phase_message(phase: Phase, closes: bool) -> Message:
-    if phase is Phase.OPEN:
+def _phase_message(phase: ResidualPhase, closes: bool) -> Message:
+    if phase is ResidualPhase.OPEN:
         return say("phase-before-closing") if closes else say("phase-since-run-began")
-    return say("phase-closed") if phase is Phase.CLOSED else say("phase-after-opening")
+    return say("phase-closed") if phase is ResidualPhase.CLOSED else say("phase-after-opening")
 
 
 def temperatures(row: Mapping[str, Any]) -> Message:

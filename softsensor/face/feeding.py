@@ -17,7 +17,7 @@ from daq.records import InputError
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
-from softsensor.jobs.first_start import Work, compile_for
+from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.live.sensor import Estimate
 from softsensor.live.sensor import LiveSensor as ScanSensor
 
@@ -68,7 +68,7 @@ class LiveSensor(ScanSensor):
         check_header(keys_of(header, "given-no-header"), "LiveSensor")
         for doubt in doubts(header):
             warn(doubt)
-        compile_for(Work.LIVE)
+        compile_for(WorkKind.LIVE)
         described = read_press(press)
         known = None if model is None else model_for(model, described, header)
         super().__init__(described, header, known, resin_of(resin))

@@ -15,7 +15,7 @@ from softsensor.face.diagnosing import DiagnosisResult, diagnose
 from softsensor.face.inputs import read_press
 from softsensor.face.showing import lines_html, shown
 from softsensor.planning.open_points import PointKind
-from softsensor.planning.plan import Plan
+from softsensor.planning.plan import PressingPlan
 from softsensor.planning.plan import plan as plan_after
 from softsensor.planning.summary import best_message, plan_messages, point_message
 
@@ -34,7 +34,7 @@ HALF = ((PointKind.COEFFICIENT, "half_share"), (PointKind.CORE_BAND, "half_K"))
 class PlanResult:
     """The next pressings worth most, and what each would settle."""
 
-    planned: Plan
+    planned: PressingPlan
     """The open points, and for each the pressings that would settle it; what one is worth in nats."""
 
     def frame(self) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from daq.press.resin_file import Resin
 from softsensor.face.inputs import read_press, resin_of, run_for
 from softsensor.face.models import model_for
 from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
-from softsensor.jobs.first_start import Work, compile_for
+from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.live.replay import Replay, replay
 
 if TYPE_CHECKING:
@@ -102,6 +102,6 @@ def predict(
     described = read_press(press)
     loaded = run_for(run, described)
     known = None if model is None else model_for(model, described, loaded.header)
-    compile_for(Work.LIVE)
+    compile_for(WorkKind.LIVE)
     replayed = replay(described, loaded, known, loaded.named(names_of(without)), resin=resin_of(resin))
     return Prediction(replayed)

@@ -26,8 +26,8 @@ from daq.records import Array, InputError, Run
 from softsensor.fitting.population import SPREAD_RUNS
 from softsensor.fitting.problem import (
     CONSTANT,
+    FitProblem,
     Minimum,
-    Problem,
     constants_among,
     covariance_of,
     normal_equations,
@@ -91,7 +91,7 @@ def constant_unknowns(doubts: Mapping[str, Doubt]) -> list[Unknown]:
     return [nuisance(f"{CONSTANT}:{key}", doubt.sd, 0.0) for key, doubt in doubts.items()]
 
 
-def with_constants(problem: Problem, x: Array) -> Problem:
+def with_constants(problem: FitProblem, x: Array) -> FitProblem:
     """Return the problem with what a change of each constant does to the prediction, taken at a point."""
     keys = [u.name.partition(":")[2] for u in problem.unknowns if u.name.startswith(f"{CONSTANT}:")]
     if not keys:
@@ -107,7 +107,7 @@ def with_constants(problem: Problem, x: Array) -> Problem:
     return replace(problem, constant=constant)
 
 
-def changed_by(problem: Problem, key: str, size: float, values: Mapping[str, float]) -> tuple[float, Solution]:
+def changed_by(problem: FitProblem, key: str, size: float, values: Mapping[str, float]) -> tuple[float, Solution]:
     """Return a change of a constant, down or else up, whichever a limit allows, and what is then predicted."""
     case, model = problem.case, problem.model
     try:
@@ -149,7 +149,7 @@ def _moved(given: Any, change: float) -> Any:
     return float(given) + change
 
 
-def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, ConstantFit]:
+def constants_of(problem: FitProblem, best: Minimum, spread: float) -> dict[str, ConstantFit]:
     """Return what a run says about its constants: one Gauss-Newton step from the end of the search, all free.
 
     `spread` is how much larger the whitened residuals are than the noise model says: what the readings show

@@ -19,7 +19,7 @@ import numpy as np
 from daq.records import Array
 from daq.words import Message, say
 from softsensor.fitting.experiment_advice import ALONE, SEEN_K, Company, Side, explain
-from softsensor.fitting.problem import MAX_MOVE, Problem, damped_step, free_of, minimise, normal_equations
+from softsensor.fitting.problem import MAX_MOVE, FitProblem, damped_step, free_of, minimise, normal_equations
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit
 from softsensor.fitting.unknowns import is_coefficient
 
@@ -265,7 +265,7 @@ def profiles_of(fitted: RunFit) -> dict[str, LikelihoodProfile]:
     return {u.name: profile(fitted, u.name) for u in fitted.problem.unknowns if is_coefficient(u.name)}
 
 
-def _hold(problem: Problem, i: int, x: float) -> Problem:
+def _hold(problem: FitProblem, i: int, x: float) -> FitProblem:
     """Return the problem with one coefficient fixed, its own prior left out."""
     u = problem.unknowns[i]
     fixed = replace(u, lower=x, upper=x, sd=float("inf"))

@@ -26,8 +26,8 @@ from softsensor.fitting.identifiability import held_against, with_verdicts
 from softsensor.fitting.problem import (
     STALLED,
     Evaluation,
+    FitProblem,
     Minimum,
-    Problem,
     grid_correction,
     minimise,
     rows_with_panel,
@@ -121,7 +121,7 @@ def make_problem(
     moments: Moments,
     start: Mapping[str, float] | None = None,
     learned: Mapping[str, float] | None = None,
-) -> Problem:
+) -> FitProblem:
     """Lay out a run for fitting: channels, unknowns, priors. Raises InputError."""
     case = model.prepare(run, moments)
     signals = collect_signals(case.press, run, moments)
@@ -135,10 +135,10 @@ def make_problem(
     doubts = fit_doubts(run, case.press, learned)
     unknowns += [*chain_priors(case, signals), *constant_unknowns(doubts)]
     rows = rows_with_panel(case)
-    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows, doubts=doubts)
+    return FitProblem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows, doubts=doubts)
 
 
-def _fit_by_the_paper(problem: Problem, method: str, company: Company) -> RunFit:
+def _fit_by_the_paper(problem: FitProblem, method: str, company: Company) -> RunFit:
     """Take the coefficients from one of the paper's procedures, and hold them against what the run can show.
 
     The paper adjusts coefficients at known moments. A switch or a detector knows them to half a row, which
@@ -167,7 +167,7 @@ def _fit_by_the_paper(problem: Problem, method: str, company: Company) -> RunFit
 
 @dataclass(frozen=True)
 class _Settled:
-    problem: Problem
+    problem: FitProblem
     minimum: Minimum
     initial: Evaluation
 
@@ -181,7 +181,7 @@ class _Settled:
         return self.left(self.minimum.evaluation)
 
 
-def _settle(problem: Problem) -> _Settled:
+def _settle(problem: FitProblem) -> _Settled:
     """Fit a run; where much is left of it, once more from coarser noise, and keep the better."""
     found = _search(problem)
     if not misfit_of(found.problem, found.rmse, found.left(found.initial), SEARCH_AGAIN):
@@ -190,12 +190,12 @@ def _settle(problem: Problem) -> _Settled:
     return min(found, other, key=lambda settled: settled.rmse)
 
 
-def first_values(problem: Problem) -> dict[str, float]:
+def first_values(problem: FitProblem) -> dict[str, float]:
     """Return every parameter's value where the first search of a run ends, for a fit of many that is far off."""
     return problem.merged(_first_search(problem)[1].x)
 
 
-def _first_search(problem: Problem) -> tuple[Problem, Minimum]:
+def _first_search(problem: FitProblem) -> tuple[FitProblem, Minimum]:
     """Return the run with its rows blurred by what their timing leaves unknown, and where a rough search ends."""
     moment = moment_sd(problem.signals.period_s)
     moving = with_motion(problem, problem.start, FIRST_TIMING_S + timing(problem), moment)
@@ -203,7 +203,7 @@ def _first_search(problem: Problem) -> tuple[Problem, Minimum]:
     return problem, _roughly(problem)
 
 
-def _search(problem: Problem) -> _Settled:
+def _search(problem: FitProblem) -> _Settled:
     """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
     period = problem.signals.period_s
     problem, first = _first_search(problem)
@@ -221,7 +221,7 @@ def _search(problem: Problem) -> _Settled:
     return _Settled(problem, best, initial)
 
 
-def _roughly(problem: Problem) -> Minimum:
+def _roughly(problem: FitProblem) -> Minimum:
     """Search from the given start, and from further ones where that ends badly or at a limit."""
     best = minimise(problem, max_evaluations=25, decrease=STALLED)
     logs = np.array([u.log for u in problem.unknowns])
@@ -235,12 +235,12 @@ def _roughly(problem: Problem) -> Minimum:
     return best
 
 
-def timing(problem: Problem) -> float:
+def timing(problem: FitProblem) -> float:
     """Return how well row times are known: channels are read one after the other. [s]"""
     return TIMING_S + TIMING_ROWS * problem.signals.period_s
 
 
-def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
+def recentre(problem: FitProblem, x: Array) -> tuple[FitProblem, Array]:
     """Lay the run out again about refined moments, so that fine steps sit where the press switches."""
     values = problem.merged(x)
     case = problem.case
@@ -267,7 +267,7 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
     return replace(problem, case=case, unknowns=tuple(unknowns)), moved
 
 
-def slow_noise(problem: Problem, at: Evaluation) -> Noise:
+def slow_noise(problem: FitProblem, at: Evaluation) -> Noise:
     """Return the noise with its slow part by restricted maximum likelihood on rows a second apart."""
     thin = _thin(problem)
     mean, precision = problem.precision
@@ -295,7 +295,7 @@ def slow_noise(problem: Problem, at: Evaluation) -> Noise:
     return replace(problem.noise, slow_K=float(np.exp(best[0])), slow_s=float(np.exp(best[1])))
 
 
-def _thin(problem: Problem) -> Array:
+def _thin(problem: FitProblem) -> Array:
     """Rows about a second apart, none near a switch."""
     t, moments = problem.signals.time_s, problem.case.moments
     use = problem.rows > 0

@@ -18,7 +18,7 @@ from daq.printed import on_screen
 from daq.records import Array
 from softsensor.fitting.problem import (
     Evaluation,
-    Problem,
+    FitProblem,
     carried_among,
     constants_among,
     inverse,
@@ -61,7 +61,7 @@ class Population:
     __repr__ = on_screen
 
 
-def information(problem: Problem, at: Evaluation, spread: float, names: Sequence[str]) -> Knowledge:
+def information(problem: FitProblem, at: Evaluation, spread: float, names: Sequence[str]) -> Knowledge:
     """Return what a run knows about the logarithms of the named coefficients, priors on them left out.
 
     Parameters

@@ -1,7 +1,7 @@
 """Least squares between a model and measured runs: unknowns, priors, whitened residuals, derivatives.
 
 What a fit adjusts are `Unknown`s, each in its `unit`: coefficients in the logarithm, and nuisances (moments, start
-temperature, boundary and channel errors) that carry priors. A `Problem` is one run; `minimise` finds its unknowns
+temperature, boundary and channel errors) that carry priors. A `FitProblem` is a run; `minimise` finds its unknowns
 by Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
 """
 
@@ -82,7 +82,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """One run to be fitted."""
 
     model: ThermalModel
@@ -251,7 +251,7 @@ def with_clock(model: ThermalModel) -> ThermalModel:
     return model.extended(clock_offset.EFFECT)
 
 
-def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.0) -> Problem:
+def with_motion(problem: FitProblem, x: Array, timing_s: float, reach_s: float = 0.0) -> FitProblem:
     """Return the problem with slopes and blur taken at a point.
 
     Rows are blurred by their slope times `timing_s`; while the press moves, when straight ramps stand for
@@ -283,7 +283,7 @@ def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.
     return replace(problem, slope=tuple(slope), blur=tuple(blur), moving=moving)
 
 
-def grid_correction(problem: Problem, x: Array) -> tuple[Array, ...]:
+def grid_correction(problem: FitProblem, x: Array) -> tuple[Array, ...]:
     """Return what a finer grid adds to the prediction at a point (rows). [K]
 
     The grid's error hardly depends on the unknowns, so one fine solution corrects all coarse ones.
@@ -315,7 +315,7 @@ class Minimum:
         return self.evaluation.x
 
 
-def normal_equations(problem: Problem, at: Evaluation, spread: float = 1.0) -> tuple[Array, Array]:
+def normal_equations(problem: FitProblem, at: Evaluation, spread: float = 1.0) -> tuple[Array, Array]:
     """Return the Gauss-Newton matrix (unknowns, unknowns) and the right-hand side (unknowns), priors included.
 
     `spread` is the standard deviation of the readings in units of what the noise model says.
@@ -347,7 +347,7 @@ _gram: Callable[..., tuple[Array, Array]] = compiled(nogil=True, fastmath=True)(
 
 
 def minimise(
-    problem: Problem, x: Array | None = None, *, max_evaluations: int = 40, decrease: float = 5e-3
+    problem: FitProblem, x: Array | None = None, *, max_evaluations: int = 40, decrease: float = 5e-3
 ) -> Minimum:
     """Find a run's unknowns; stop when the next step promises less than `decrease` of loss."""
     lower, upper = problem.limits
@@ -416,12 +416,12 @@ def covariance_of(matrix: Array, free: Array) -> Array:
     return covariance
 
 
-def constants_among(problem: Problem) -> list[int]:
+def constants_among(problem: FitProblem) -> list[int]:
     """Return the positions of the constants among the unknowns."""
     return [i for i, u in enumerate(problem.unknowns) if u.name.startswith(f"{CONSTANT}:")]
 
 
-def carried_among(problem: Problem) -> list[int]:
+def carried_among(problem: FitProblem) -> list[int]:
     """Return the positions of the constants whose doubt intervals carry: the panel's, and all that are stated.
 
     No two panels are alike, so every run's coefficients answer for what its own panel is off. Constants of the
@@ -431,15 +431,15 @@ def carried_among(problem: Problem) -> list[int]:
     return [i for i in constants_among(problem) if _carried(problem, _key(problem, i))]
 
 
-def _carried(problem: Problem, key: str) -> bool:
+def _carried(problem: FitProblem, key: str) -> bool:
     return key.startswith("panel.") or problem.doubts[key].source is Source.STATED
 
 
-def _key(problem: Problem, i: int) -> str:
+def _key(problem: FitProblem, i: int) -> str:
     return problem.unknowns[i].name.partition(":")[2]
 
 
-def left_open(problem: Problem, matrix: Array, covariance: Array) -> Array:
+def left_open(problem: FitProblem, matrix: Array, covariance: Array) -> Array:
     """Return what the doubt of held constants adds to the covariance of all unknowns.
 
     Schmidt's consider covariance (Bierman, Factorization Methods, 1977, chapter VIII): the estimate leans on a

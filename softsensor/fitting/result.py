@@ -15,7 +15,7 @@ from daq.records import Array, Moments
 from daq.words import Message, say
 from daq.words.message import words
 from softsensor.fitting.constants import ConstantFit, constants_of
-from softsensor.fitting.problem import Evaluation, Minimum, Problem
+from softsensor.fitting.problem import Evaluation, FitProblem, Minimum
 from softsensor.fitting.remarks import lost_insertion
 from softsensor.fitting.unknowns import is_coefficient
 from softsensor.signals.student import student
@@ -117,7 +117,7 @@ class RunFit:
     """Of the unknowns, nuisances included."""
     covariance: Array
     """Of the internal variables: logarithms of coefficients, nuisances over their standard deviation."""
-    problem: Problem
+    problem: FitProblem
     minimum: Minimum
     residuals: Mapping[str, Array]
     """Reading minus prediction by channel, its constant offset removed (rows). [K]"""
@@ -223,7 +223,7 @@ def json_number(value: float) -> float | None:
 
 
 def run_fit(
-    problem: Problem,
+    problem: FitProblem,
     best: Minimum,
     initial: Evaluation,
     warnings: Sequence[Message],
@@ -263,7 +263,7 @@ def run_fit(
     )
 
 
-def _coefficients(problem: Problem, best: Minimum, factor: float, quantile: float) -> dict[str, Coefficient]:
+def _coefficients(problem: FitProblem, best: Minimum, factor: float, quantile: float) -> dict[str, Coefficient]:
     """Return the parameters, the free ones `factor` times less sure than the curvature says."""
     table = {}
     for i, u in enumerate(problem.unknowns):
@@ -277,7 +277,7 @@ def _coefficients(problem: Problem, best: Minimum, factor: float, quantile: floa
     return table
 
 
-def _search_warnings(problem: Problem, best: Minimum, misfit: Message | None) -> list[Message]:
+def _search_warnings(problem: FitProblem, best: Minimum, misfit: Message | None) -> list[Message]:
     found = []
     if problem.signals.dropped:
         found.append(say("fit-cells-dropped", count=problem.signals.dropped))
@@ -288,7 +288,7 @@ def _search_warnings(problem: Problem, best: Minimum, misfit: Message | None) ->
     return found
 
 
-def misfit_of(problem: Problem, rmse: float, first: float, share: float = MISFIT_SHARE) -> Message | None:
+def misfit_of(problem: FitProblem, rmse: float, first: float, share: float = MISFIT_SHARE) -> Message | None:
     """Say why a model does not describe a run, None where it does.
 
     Where insertion and closing are both lost, moments are found that meet the readings, and coefficients with
@@ -331,7 +331,7 @@ class _Spread:
     """Independent values behind the size of the slow noise, which decides most intervals."""
 
 
-def _spread(problem: Problem, best: Minimum) -> _Spread:
+def _spread(problem: FitProblem, best: Minimum) -> _Spread:
     z, w = best.evaluation.z, best.evaluation.weight
     used = z != 0
     size = float((w[used] * z[used] ** 2).sum() / max(used.sum() - len(best.x), 1))
@@ -340,7 +340,7 @@ def _spread(problem: Problem, best: Minimum) -> _Spread:
     return _Spread(max(1.0, float(np.sqrt(size))), float(np.clip(freedom, *FREEDOM)))
 
 
-def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array], dict[str, float]]:
+def channel_residuals(problem: FitProblem, at: Evaluation) -> tuple[dict[str, Array], dict[str, float]]:
     """Return by channel reading minus prediction with its constant offset removed, and that offset. [K]"""
     residuals, offsets = {}, {}
     present = problem.rows > 0
@@ -354,7 +354,7 @@ def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array
     return residuals, offsets
 
 
-def left_still(problem: Problem, residuals: Mapping[str, Array]) -> float:
+def left_still(problem: FitProblem, residuals: Mapping[str, Array]) -> float:
     """Return the root mean square of channels' residuals while nothing is being moved, their means removed. [K]
 
     Of all rows where the press or the panel is being moved in each of them.

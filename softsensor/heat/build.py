@@ -10,15 +10,15 @@ from daq.records import NoSteadyState
 from daq.words import say
 from softsensor.effects import Terms
 from softsensor.heat import first_profile, implicit_steps
-from softsensor.heat.asked import Asked
 from softsensor.heat.case import Case
+from softsensor.heat.solve_request import SolveRequest
 
 
 @dataclass(frozen=True)
 class Build:
     """The arrays of one solve, ready for the compiled steps."""
 
-    asked: Asked
+    asked: SolveRequest
     stack: implicit_steps.Stack
     tangents: implicit_steps.Tangents
     drive: implicit_steps.Drive
@@ -26,7 +26,7 @@ class Build:
     nonlinear: bool
 
     @staticmethod
-    def of(case: Case, asked: Asked, *, nonlinear: bool) -> Build:
+    def of(case: Case, asked: SolveRequest, *, nonlinear: bool) -> Build:
         """Lay out a case; `nonlinear` where an effect is. Raises NoSteadyState."""
         layout, p = case.layout, -(-len(asked.names) // 4) * 4
         stack = layout.stack(case.mesh, asked.terms, asked.values, case.ambient)
@@ -56,7 +56,7 @@ class Build:
         return int(self.start.s.shape[0])
 
 
-def _drive(case: Case, asked: Asked, p: int) -> implicit_steps.Drive:
+def _drive(case: Case, asked: SolveRequest, p: int) -> implicit_steps.Drive:
     names, contacts = asked.names, asked.terms.closed_contact
     weight, d_weight = case.step_clock.shares(asked.values, names, p)
     factor, d_factor = case.unchanged, np.zeros((*case.unchanged.shape, p))
@@ -82,7 +82,7 @@ def _drive(case: Case, asked: Asked, p: int) -> implicit_steps.Drive:
 
 def _start(
     case: Case,
-    asked: Asked,
+    asked: SolveRequest,
     stack: implicit_steps.Stack,
     tangents: implicit_steps.Tangents,
     drive: implicit_steps.Drive,
@@ -115,12 +115,12 @@ def _begun(state: implicit_steps.State) -> implicit_steps.State:
     return state
 
 
-def _empty_state(case: Case, asked: Asked, p: int) -> implicit_steps.State:
+def _empty_state(case: Case, asked: SolveRequest, p: int) -> implicit_steps.State:
     n, r, z = len(case.mesh.dx), len(asked.terms.conversions), np.zeros
     return implicit_steps.State(z(n), z(n), z((r, n)), z((p, n)), z((p, n)), z((r, p, n)), z(1))
 
 
-def _shift(state: implicit_steps.State, asked: Asked) -> None:
+def _shift(state: implicit_steps.State, asked: SolveRequest) -> None:
     """Shift everything by what the start is off."""
     state.t[:] += asked.values.get("initial_K", 0.0)
     if "initial_K" in asked.names:
@@ -135,7 +135,7 @@ def _uniform(case: Case) -> float:
     return case.panel.initial_temperature
 
 
-def _at_rest(case: Case, asked: Asked, drive: implicit_steps.Drive) -> implicit_steps.Drive:
+def _at_rest(case: Case, asked: SolveRequest, drive: implicit_steps.Drive) -> implicit_steps.Drive:
     """One step at the first row's outside temperatures, before the panel comes."""
     contacts, p = drive.d_factor.shape[1:]
     weight, outside = np.zeros((1, 3)), np.zeros((1, 2, 2))

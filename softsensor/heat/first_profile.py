@@ -27,9 +27,9 @@ from daq.records import Array, InputError, Panel, Run
 from daq.words import say
 from softsensor.effects import Terms
 from softsensor.heat import implicit_steps
-from softsensor.heat.asked import Asked
 from softsensor.heat.assembly import layer_constants
 from softsensor.heat.case import Case
+from softsensor.heat.solve_request import SolveRequest
 from softsensor.heat.step_terms import DG, DROWS, DSTAR, ROWS, STAR, Coefficients, G, coefficients
 
 ENDS = ("boundary.bottom", "boundary.top")
@@ -44,7 +44,7 @@ LEAST_SHARE = 1e-9
 class Conditions:
     """What a start at rest follows: the arrays of a solve, of which the first step counts."""
 
-    asked: Asked
+    asked: SolveRequest
     stack: implicit_steps.Stack
     tangents: implicit_steps.Tangents
     drive: implicit_steps.Drive
@@ -132,7 +132,7 @@ def in_height(case: Case, state: implicit_steps.State) -> None:
     height = np.cumsum(case.mesh.dx)
     cells = height - case.mesh.dx / 2
     straight = Resistance(cells, np.zeros((0, len(cells))), (0.0, float(height[-1])), np.zeros((2, 0)))
-    state.t[:], _ = _between(case, Asked({}, (), Terms(), {}), first_readings(case), straight, {})
+    state.t[:], _ = _between(case, SolveRequest({}, (), Terms(), {}), first_readings(case), straight, {})
 
 
 def at_rest(case: Case, of: Conditions, state: implicit_steps.State) -> None:
@@ -181,7 +181,7 @@ def _resistance(of: Conditions, state: implicit_steps.State) -> Resistance:
 
 
 def _between(
-    case: Case, asked: Asked, readings: dict[str, float], along: Resistance, d_read: Mapping[str, Array]
+    case: Case, asked: SolveRequest, readings: dict[str, float], along: Resistance, d_read: Mapping[str, Array]
 ) -> tuple[Array, Array]:
     """Return temperatures along the resistance (n), and their derivatives (P, n)."""
     none = np.zeros(len(along.d_cells))

@@ -58,12 +58,12 @@ from daq.words import say
 from softsensor.effects import Conversion, Effect, Scene, Terms, find_effect, on_panel
 from softsensor.effects.effect import FACTORS, SUMMANDS
 from softsensor.heat import implicit_steps
-from softsensor.heat.asked import Asked
 from softsensor.heat.build import Build
 from softsensor.heat.case import FINE_STEP_S, GROWTH, Case, Fineness, prepare_case
 from softsensor.heat.chain import Solution, observe, read_places
 from softsensor.heat.exact import exact_grid, run_exact
 from softsensor.heat.run_checks import check_first_readings, check_values, value_limits
+from softsensor.heat.solve_request import SolveRequest
 
 NUISANCES = (
     "closed_s",
@@ -188,7 +188,7 @@ class ThermalModel:
         parts = self._parts(case, values)
         terms = _merged(parts)
         late = any(e.nonlinear or terms.closed_contact for e in self.effects)
-        asked = Asked(values, tangents, terms, self._derived(case, values, parts, tangents, late=late))
+        asked = SolveRequest(values, tangents, terms, self._derived(case, values, parts, tangents, late=late))
         return Build.of(case, asked, nonlinear=any(e.nonlinear for e in self.effects))
 
     def solve(

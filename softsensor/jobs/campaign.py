@@ -20,7 +20,7 @@ from softsensor.fitting.problem import minimise
 from softsensor.fitting.result import RunFit
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
-from softsensor.jobs.first_start import Work, compile_for
+from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.signals.moments import moments_of
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def fit_runs(
 ) -> list[RunFit]:
     """Fit every run on all cores, in order; `options` are those of `fit_run`."""
     workers, fit = _cores(workers, runs), partial(_fit, model, options)
-    compile_for(Work.FIT)
+    compile_for(WorkKind.FIT)
     # compiled before the first run, whose time would otherwise hold that
     moments = [moments_of(run, model.press) for run in runs]
     minimise(make_problem(model, runs[0], moments[0], options.get("start")), max_evaluations=1)

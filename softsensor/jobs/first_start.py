@@ -22,19 +22,19 @@ LOG = logging.getLogger("kerntemp.first_start")
 LISTS = Path(__file__).parent
 
 
-class Work(StrEnum):
+class WorkKind(StrEnum):
     """What is compiled for."""
 
     LIVE = "live"
     FIT = "fit"
 
 
-def list_of(work: Work) -> Path:
+def list_of(work: WorkKind) -> Path:
     """Return the file of what a kind of work needs compiled."""
     return LISTS / f"first_start_{work}.json"
 
 
-def kept(work: Work) -> bool:
+def kept(work: WorkKind) -> bool:
     """Return whether nothing is left to be compiled for a kind of work; not known of a list that does not fit."""
     with suppress(Exception):
         return all_kept(read_list(list_of(work)))
@@ -42,7 +42,7 @@ def kept(work: Work) -> bool:
 
 
 @cache
-def compile_for(work: Work, *, helped: bool = True) -> None:
+def compile_for(work: WorkKind, *, helped: bool = True) -> None:
     """Compile what a kind of work needs, or find that it is kept; once in a process.
 
     Parameters
@@ -66,7 +66,7 @@ def compile_for(work: Work, *, helped: bool = True) -> None:
             other.wait()
 
 
-def _other_process(work: Work) -> subprocess.Popen[bytes] | None:
+def _other_process(work: WorkKind) -> subprocess.Popen[bytes] | None:
     """Start a Python beside this one, where this one is a Python at all."""
     if not Path(sys.executable or "").stem.lower().startswith("python"):
         return None
@@ -79,7 +79,7 @@ def _other_process(work: Work) -> subprocess.Popen[bytes] | None:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        compile_for(Work(sys.argv[1]), helped=False)
+        compile_for(WorkKind(sys.argv[1]), helped=False)
     else:
-        for each in Work:
+        for each in WorkKind:
             compile_for(each)

@@ -17,7 +17,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import Run
 from softsensor.heat.model_file import ModelFile
-from softsensor.jobs.first_start import Work, compile_for, kept
+from softsensor.jobs.first_start import WorkKind, compile_for, kept
 
 LOG = logging.getLogger("kerntemp.sense")
 
@@ -43,8 +43,8 @@ class Fitter:
 
     def help_compiling(self) -> None:
         """Compile in the worker, beside the live sensor, what that needs; where all is kept, none is started."""
-        if not kept(Work.LIVE):
-            self._pool.submit(compile_for, Work.LIVE)
+        if not kept(WorkKind.LIVE):
+            self._pool.submit(compile_for, WorkKind.LIVE)
 
     def warm_up(self) -> Future[None]:
         """Compile what fits need and load the solver, once the live sensor has what it needs."""
@@ -108,7 +108,7 @@ def _end_with_parent() -> None:
 
 
 def _warm_up() -> None:
-    compile_for(Work.FIT)
+    compile_for(WorkKind.FIT)
     from softsensor.fitting import campaign
 
     LOG.debug("fitter ready: %s", campaign.__name__)

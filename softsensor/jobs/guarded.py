@@ -19,7 +19,7 @@ SINGLY = 4
 and as many seconds without an estimate. By hand, 2026-11."""
 
 
-class Following(Protocol):
+class ScanFollower(Protocol):
     """What follows a press through the store, scan by scan."""
 
     store: Store
@@ -52,7 +52,7 @@ class Following(Protocol):
         ...
 
 
-F = TypeVar("F", bound=Following)
+F = TypeVar("F", bound=ScanFollower)
 
 
 class Guarded(Generic[F]):

@@ -31,7 +31,7 @@ from daq.store.records import ScansUnreadable, in_status
 from daq.store.waiting import open_when_ready
 from daq.supervision import BEAT_S, Pending
 from daq.words import Message, say, spoken
-from softsensor.jobs.first_start import Work, compile_for
+from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.guarded import Guarded
 from softsensor.jobs.live_model import LiveModel
@@ -97,7 +97,7 @@ def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
     """Compile what the sensors of these presses run on, or load it, with a sign of life meanwhile."""
 
     def warm() -> None:
-        compile_for(Work.LIVE, helped=False)  # the fits' worker helps
+        compile_for(WorkKind.LIVE, helped=False)  # the fits' worker helps
         for press in presses:
             with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
                 warm_up(press)

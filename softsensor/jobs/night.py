@@ -33,19 +33,19 @@ from softsensor.jobs.night_judgement import (
     FAILED,
     FEWEST_RUNS,
     JUDGES,
-    Night,
+    NightBasis,
     NightOutcome,
     judge_night,
 )
 from softsensor.jobs.night_progress import Agenda, agenda_of
 from softsensor.jobs.night_sure import settled
-from softsensor.jobs.retention import Kept
+from softsensor.jobs.retention import OldScans
 from softsensor.jobs.run_reader import PROCESS, RunReader
 
 LOG = logging.getLogger("kerntemp.refit")
 ROLLED_BACK = "model-rolled-back"
 Level = Literal["warning", "alarm"]
-NOTHING_KEPT = Kept()
+NOTHING_KEPT = OldScans()
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -60,7 +60,7 @@ def refit_press(
     *,
     workers: int | None = None,
     dask: str = "",
-    kept: Kept = NOTHING_KEPT,
+    kept: OldScans = NOTHING_KEPT,
 ) -> NightOutcome:
     """Run the job for one press, and sign off for it.
 
@@ -89,7 +89,7 @@ def refit_press(
         good = reader.newest(good, DIAGNOSED_RUNS + JUDGES)
         progress = replace(progress, bets=_bets(reader, press, base, agenda, good[-DIAGNOSED_RUNS:]))
         fits = {r.run: fits[r.run] for r in good}
-        night = Night(store, name, press, base, agenda.window, fits, progress.bets.sure, reader)
+        night = NightBasis(store, name, press, base, agenda.window, fits, progress.bets.sure, reader)
         outcome = judge_night(night, outcome)
         left_out = (*outcome.left_out, *reader.left_out.items())
         outcome = replace(outcome, left_out=left_out[:SHOWN_LEFT_OUT], unread=tuple(reader.left_out.values()))

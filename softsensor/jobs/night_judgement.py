@@ -132,7 +132,7 @@ class NightOutcome:
 
 
 @dataclass(frozen=True)
-class Night:
+class NightBasis:
     """What a night's judgement rests on."""
 
     store: Store
@@ -162,7 +162,7 @@ class Night:
         return [run for name in names if (run := self.run(name)) is not None]
 
 
-def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
+def judge_night(night: NightBasis, outcome: NightOutcome) -> NightOutcome:
     """Diagnose, make a candidate, and promote it if runs that took no part are the better for it.
 
     A candidate with fewer effects than the model in force, where the diagnosis no longer finds them, need not
@@ -199,7 +199,7 @@ def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
 
 
 def _promote_or_leave(
-    night: Night, candidate: ModelFile, found: _Comparison, outcome: NightOutcome
+    night: NightBasis, candidate: ModelFile, found: _Comparison, outcome: NightOutcome
 ) -> NightOutcome:
     """Store a candidate, and promote it if it is better and no one has gone back from a model like it."""
     unwanted = _rolled_back(night, candidate) if found.better else ""
@@ -228,7 +228,7 @@ def _leaves_out(old: ModelFile | None, new: ModelFile) -> tuple[str, ...]:
     return tuple(sorted(before - after)) if after < before else ()
 
 
-def _keep_or_begin(night: Night, base: ModelFile, outcome: NightOutcome) -> NightOutcome:
+def _keep_or_begin(night: NightBasis, base: ModelFile, outcome: NightOutcome) -> NightOutcome:
     """Leave the promoted model; where there is none yet, begin with the runs' coefficients."""
     if night.base is not None:
         return outcome
@@ -256,7 +256,7 @@ def _same_effects(old: ModelFile, new: ModelFile) -> bool:
     )
 
 
-def _rolled_back(night: Night, candidate: ModelFile) -> str:
+def _rolled_back(night: NightBasis, candidate: ModelFile) -> str:
     """Return the version of a model like the candidate that somebody has gone back from, empty where none is."""
     active = night.store.active_model(night.name)
     newer = (
@@ -270,7 +270,7 @@ def _rolled_back(night: Night, candidate: ModelFile) -> str:
     return next(same, "")
 
 
-def _fits_with(night: Night, candidate: ModelFile, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _fits_with(night: NightBasis, candidate: ModelFile, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Fit the judging runs with a candidate's effects."""
     found = {}
     for run in night.runs(runs):
@@ -290,7 +290,7 @@ class _Comparison:
 
 
 def _compare(
-    night: Night,
+    night: NightBasis,
     report: Mapping[str, Any],
     candidate: ModelFile,
     fits: Mapping[str, Mapping[str, Any]],
@@ -402,7 +402,7 @@ class _Predictions:
 
 
 def _predictions(
-    night: Night, report: Mapping[str, Any], candidate: ModelFile, runs: Sequence[str], *, apart: bool
+    night: NightBasis, report: Mapping[str, Any], candidate: ModelFile, runs: Sequence[str], *, apart: bool
 ) -> _Predictions | None:
     """Predict the judging runs with both models; where they took part, what the diagnosis predicted in turn."""
     if not apart:
@@ -419,7 +419,7 @@ def _predictions(
     return _Predictions(before_K, after_K, surely_less(old, new))
 
 
-def _prediction_errors(night: Night, run: Run, models: Sequence[ModelFile]) -> list[float]:
+def _prediction_errors(night: NightBasis, run: Run, models: Sequence[ModelFile]) -> list[float]:
     """Return by model how far a simulated run is from its panel sensors; NaN where it cannot be simulated. [K]"""
     try:
         moments = moments_of(run, night.press)
@@ -428,7 +428,7 @@ def _prediction_errors(night: Night, run: Run, models: Sequence[ModelFile]) -> l
     return [_prediction_error(night, run, moments, model) for model in models]
 
 
-def _prediction_error(night: Night, run: Run, moments: Moments, model: ModelFile) -> float:
+def _prediction_error(night: NightBasis, run: Run, moments: Moments, model: ModelFile) -> float:
     try:
         out = simulate_run(run, night.press, model.model(night.press), model.values, known=moments)
     except InputError:
@@ -448,7 +448,7 @@ class _Core:
     """The candidate calls many scans not valid that the model before predicts."""
 
 
-def _core_rmse(night: Night, candidate: ModelFile) -> _Core | None:
+def _core_rmse(night: NightBasis, candidate: ModelFile) -> _Core | None:
     """Replay runs with a core thermocouple through the live sensor with both models; None where there is none."""
     errors = list(_core_errors(night, candidate))
     if not errors:
@@ -462,7 +462,7 @@ def _core_rmse(night: Night, candidate: ModelFile) -> _Core | None:
     return _Core(old, new, silenced)
 
 
-def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Array]]:
+def _core_errors(night: NightBasis, candidate: ModelFile) -> Iterator[tuple[Array, Array]]:
     """Yield both models' errors of the core scan by scan, NaN where there is no truth or no valid core. [K]"""
     count = 0
     for record in night.records[: -CORE_SEARCHED - 1 : -1]:
@@ -486,7 +486,7 @@ def _errors(press: Press, run: Run, model: ModelFile | None, core: Array) -> Arr
     return predicted - core
 
 
-def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile, list[str]]:
+def _diagnose(night: NightBasis, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile, list[str]]:
     """Ask what the plain model gets wrong on these runs; a law without a name is reported and not promoted.
 
     Returns the report, the extended model, and causes it would name that the bets over all nights hold back.

@@ -24,7 +24,7 @@ from daq.words import Message, say
 from softsensor.jobs.cluster import NoWorkers, handed_out
 from softsensor.jobs.night import failed_night, reason_of, refit_press
 from softsensor.jobs.night_judgement import NightOutcome
-from softsensor.jobs.retention import Kept, Rules, keep_house
+from softsensor.jobs.retention import OldScans, Rules, keep_house
 from softsensor.jobs.run_reader import PROCESS
 from softsensor.jobs.sisters import begin_with_sisters
 
@@ -36,7 +36,7 @@ class PressTask:
     store: Address
     name: str
     press: Press
-    kept: Kept
+    kept: OldScans
     workers: int
     """Processes of its own for its fits."""
 
@@ -84,7 +84,7 @@ def refit_presses(
     began = datetime.now(UTC)
     for name in learning:  # before any night: what they begin with must not depend on which one ends first
         _begin_with_sisters(store, name, presses[name])
-    kept = {name: Kept() if rules is None else _keep_house(store, name, rules) for name in presses}
+    kept = {name: OldScans() if rules is None else _keep_house(store, name, rules) for name in presses}
     share = 1 if dask else max((workers or os.cpu_count() or 1) // max(len(presses), 1), 1)
     tasks = [PressTask(store.database.address, name, press, kept[name], share) for name, press in presses.items()]
     for task, ended in _worked_off(store, tasks, workers, dask):
@@ -98,13 +98,13 @@ def _begin_with_sisters(store: Store, name: str, press: Press) -> None:
         store.log("alarm", PROCESS, say("night-without-sisters", press=name, why=reason_of(error)), name)
 
 
-def _keep_house(store: Store, name: str, rules: Rules) -> Kept:
+def _keep_house(store: Store, name: str, rules: Rules) -> OldScans:
     try:
         return keep_house(store, name, rules, datetime.now(UTC))
     except Exception as error:  # noqa: BLE001 - its fits do not need it
         problem = say("press-problem", press=name, problem=reason_of(error))
         store.log("alarm", PROCESS, problem, name)
-        return Kept(problem=problem)
+        return OldScans(problem=problem)
 
 
 def _worked_off(

@@ -39,7 +39,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Kept:
+class OldScans:
     """What became of a press's old scans in a night."""
 
     archived: int = 0
@@ -67,14 +67,14 @@ class Kept:
         return say("night-archive", press=press, **moved, removed=self.pressings_only, later=self.archive_later)
 
 
-def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> Kept:
+def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> OldScans:
     """Do as the rules say, for as long as they allow; what goes wrong is in the journal and stops nothing else."""
     began = time.monotonic()
     try:
         store.use_archive(rules.folder)
     except InputError as error:
         store.log("alarm", PROCESS, spoken(error), press)
-        return Kept(problem=spoken(error))
+        return OldScans(problem=spoken(error))
     _check(store, press, rules, now, began + CHECKING_SHARE * rules.seconds)
     deadline = began + rules.seconds
     kept = _give_up(store, press, rules, now, deadline)
@@ -98,8 +98,8 @@ def _check(store: Store, press: str, rules: Rules, now: datetime, deadline: floa
             return
 
 
-def _give_up(store: Store, press: str, rules: Rules, now: datetime, deadline: float) -> Kept:
-    kept = Kept()
+def _give_up(store: Store, press: str, rules: Rules, now: datetime, deadline: float) -> OldScans:
+    kept = OldScans()
     while rules.pressings_only_after is not None and time.monotonic() < deadline:
         runs, _ = store.remove_archived(press, now - rules.pressings_only_after)
         if not runs:
@@ -108,7 +108,7 @@ def _give_up(store: Store, press: str, rules: Rules, now: datetime, deadline: fl
     return kept
 
 
-def _archive(store: Store, press: str, kept: Kept, before: datetime, deadline: float) -> Kept:
+def _archive(store: Store, press: str, kept: OldScans, before: datetime, deadline: float) -> OldScans:
     due = store.runs_to_archive(press, before)
     for run in due:
         if time.monotonic() > deadline:

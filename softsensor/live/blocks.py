@@ -29,7 +29,7 @@ _ROOM = 1024
 """Scans there is room for at first."""
 
 
-class Scans:
+class ScanArrays:
     """A run's scans so far, in arrays that grow.
 
     Parameters
@@ -203,7 +203,7 @@ def blocks_of(rows: ScanRows, done: int, ends: Integers, counted: Counted) -> Bl
     return made
 
 
-def cut(scans: Scans, done: int, moments: Array, limit: int) -> tuple[Integers, bool]:
+def cut(scans: ScanArrays, done: int, moments: Array, limit: int) -> tuple[Integers, bool]:
     """Return the last scans of the blocks that are complete, and whether those are all.
 
     Parameters

@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.press.detector import HAND_C
 from daq.records import Array
-from softsensor.live.blocks import SPARSE_S, Scans
+from softsensor.live.blocks import SPARSE_S, ScanArrays
 from softsensor.live.channel_steps import Changes, Integers, note_changes
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.instrument import RAMP_S
@@ -217,7 +217,7 @@ class Stillness:
         self._any_still = time_s - oldest > FROZEN_S
         return bool(len(readings) >= FEWEST_CHANNELS and time_s - newest > FROZEN_S)
 
-    def silence(self, scans: Scans, *, frozen: bool) -> bool:
+    def silence(self, scans: ScanArrays, *, frozen: bool) -> bool:
         """Strike out the scans of faces that stand still where they should move; return whether any are new.
 
         `frozen` says that the whole logger stands still.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from daq.press.detector import BLIND_S, CHANGE_S
 from daq.press.events import PressEventDetector
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState
-from softsensor.live.blocks import Scans
+from softsensor.live.blocks import ScanArrays
 from softsensor.live.consistency import (
     LONGEST_WAIT_S,
     START_OFF_K,
@@ -21,7 +21,7 @@ from softsensor.live.consistency import (
     place_insertion,
     start_error,
 )
-from softsensor.live.passes import LEAST_WAIT_S, Known
+from softsensor.live.passes import LEAST_WAIT_S, KnownMoments
 from softsensor.live.setup import RunSetup
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.instrument import LIVE_MOMENT_S
@@ -55,9 +55,9 @@ class PressFollower:
         The run's scans, which this reads, and averages anew where a panel came late.
     """
 
-    def __init__(self, setup: RunSetup, scans: Scans) -> None:
+    def __init__(self, setup: RunSetup, scans: ScanArrays) -> None:
         self.state: PressState | None = None
-        self.known = Known(initial_sd=setup.start_sd)
+        self.known = KnownMoments(initial_sd=setup.start_sd)
         self._setup, self._scans = setup, scans
         self._detector = PressEventDetector(setup.press)
         self._invalid: Invalid | None = None

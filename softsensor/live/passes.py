@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.records import Array, Moments, PressEventKind, PressState
 from softsensor.live.block_steps import Counted, last_switch
-from softsensor.live.blocks import Scans, blocks_of, cut
+from softsensor.live.blocks import ScanArrays, blocks_of, cut
 from softsensor.live.budget import band_from
 from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import Inside, look_inside
@@ -50,7 +50,7 @@ EVEN = 0.5
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownMoments:
     """What has been found out about the run's moments."""
 
     moments: Moments = field(default_factory=Moments)
@@ -93,7 +93,7 @@ class Pass:
         self,
         panels: Sequence[LikelyPanel],
         model: ModelFile | None,
-        known: Known,
+        known: KnownMoments,
         points: Sequence[Array] | None,
         first: float,
     ) -> None:
@@ -221,7 +221,7 @@ class Pass:
         """Return what the model itself adds to the core's variance after so much rise. [K²]"""
         return model_variance(rise, self._uneven if by_faces else 0.0)
 
-    def extend(self, scans: Scans, limit: int, *, blind: bool = False) -> bool:
+    def extend(self, scans: ScanArrays, limit: int, *, blind: bool = False) -> bool:
         """Take in the scans that make up complete blocks, `limit` blocks at most; return whether all are in.
 
         `blind` predicts from the platens and leaves what the faces read alone.
@@ -240,7 +240,7 @@ class Pass:
                 self._mix(scans)
         return whole
 
-    def _mix(self, scans: Scans) -> None:
+    def _mix(self, scans: ScanArrays) -> None:
         """Pool what all filters say, and what the faces alone do."""
         known = [between for between in self.between if between is not None]
         late_K = scans.late_s(float(self.switches[CLOSED])) * float(self.chain.level[1])
@@ -263,7 +263,7 @@ class KnowsPress(Protocol):
     """Who follows the press."""
 
     state: PressState | None
-    known: Known
+    known: KnownMoments
 
     @property
     def pending(self) -> bool:
@@ -300,7 +300,7 @@ class Passes:
         """Begin anew, from what was known before the run, at the next scan."""
         self.current = self._next = None
 
-    def advance(self, panels: Sequence[LikelyPanel], scans: Scans, press: KnowsPress, *, stale: bool) -> None:
+    def advance(self, panels: Sequence[LikelyPanel], scans: ScanArrays, press: KnowsPress, *, stale: bool) -> None:
         """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
         now = scans.now
         if stale or (self.current is None and self._next is None):
@@ -321,7 +321,7 @@ class Passes:
             scans.expect(self.current.chain.read)
 
     def _begin(
-        self, panels: Sequence[LikelyPanel], scans: Scans, press: KnowsPress, points: Sequence[Array] | None
+        self, panels: Sequence[LikelyPanel], scans: ScanArrays, press: KnowsPress, points: Sequence[Array] | None
     ) -> None:
         """Begin a pass with what is known by now; the present one answers until it has caught up."""
         known = replace(press.known, idle=press.state is PressState.IDLE)

@@ -35,7 +35,7 @@ from daq.press.resin_file import Resin
 from daq.printed import in_notebook, on_screen
 from daq.records import PressState, Run
 from softsensor.heat.model_file import ModelFile
-from softsensor.live.blocks import Scans
+from softsensor.live.blocks import ScanArrays
 from softsensor.live.consistency import Stillness
 from softsensor.live.contact_loads import HeldLoads
 from softsensor.live.curing import resin_setup
@@ -115,7 +115,7 @@ class _Followed:
 
     panels: tuple[LikelyPanel, ...]
     """That may lie in the press, the header's first."""
-    scans: Scans
+    scans: ScanArrays
     press: PressFollower
     passes: Passes
     platens: HeldPlatens
@@ -262,7 +262,7 @@ class LiveSensor:
         panels = tuple(replace(p, setup=replace(p.setup, resin=self._resin)) for p in likely)
         setup = panels[0].setup
         loads = HeldLoads(setup.press)
-        scans = Scans(setup.place, len(setup.labels), len(loads.logs))
+        scans = ScanArrays(setup.place, len(setup.labels), len(loads.logs))
         still = Stillness(setup.place, len(setup.labels), len(setup.platens))
         platens = HeldPlatens(setup.press)
         press, possible = PressFollower(setup, scans), Possible(setup)

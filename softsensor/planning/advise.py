@@ -136,7 +136,7 @@ def _normal(draws: Array) -> Normal:
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedProgramme:
     """One program, and the press time it needs."""
 
     programme: Programme
@@ -199,10 +199,10 @@ class ProgrammeAdvice:
 
     panel: Mapping[str, Any]
     wish: Wish
-    tried: tuple[Tried, ...]
-    best: Tried | None
+    tried: tuple[TriedProgramme, ...]
+    best: TriedProgramme | None
     """None: no program within the ranges keeps all limits."""
-    nearest: Tried
+    nearest: TriedProgramme
     """The best, or the one that comes nearest."""
     savings: tuple[Saving, ...]
     """Most seconds first."""
@@ -281,7 +281,7 @@ def limits_of(resin: Resin | None, given: Mapping[str, float]) -> LimitsTable:
         raise InputError(explained(error, LimitsTable)) from error
 
 
-def _cost(tried: Tried, goal: Goal) -> float:
+def _cost(tried: TriedProgramme, goal: Goal) -> float:
     if goal is Goal.ENERGY:
         return tried.energy_kWh
     return -tried.panels_per_h if goal is Goal.THROUGHPUT else tried.opening.in_s
@@ -322,7 +322,7 @@ def _steam(drawn: Ensemble, courses: Courses, resin: Resin | None) -> Array:
 
 def _tried(
     drawn: Ensemble, wish: Wish, kinetics: Kinetics | None, what: tuple[Programme, Courses, Quantities]
-) -> Tried:
+) -> TriedProgramme:
     programme, courses, quantities = what
     times, allowed = _allowed(courses.press_time_s, wish)
     risks = broken(wish.limits, kinetics, quantities.known()).at(allowed)
@@ -332,7 +332,7 @@ def _tried(
         row = int(np.flatnonzero(allowed)[np.searchsorted(times, found.in_s)])
         energy = _energy(drawn.task, courses.layers_C[:, row].mean(axis=0), programme, wish.open_s)
     per_hour = 3600.0 / (found.in_s + wish.open_s)
-    return Tried(programme, times, risks, found, float(energy), per_hour, wish.price_per_kWh)
+    return TriedProgramme(programme, times, risks, found, float(energy), per_hour, wish.price_per_kWh)
 
 
 def _allowed(times: Array, wish: Wish) -> tuple[Array, np.ndarray]:
@@ -362,7 +362,7 @@ def _energy(task: Task, layers: Array, programme: Programme, open_s: float) -> f
 
 
 def _savings(
-    drawn: Ensemble, wish: Wish, kinetics: Kinetics | None, what: tuple[Tried, Quantities]
+    drawn: Ensemble, wish: Wish, kinetics: Kinetics | None, what: tuple[TriedProgramme, Quantities]
 ) -> tuple[Saving, ...]:
     """Return the press time that would do if one source of doubt after the other were none; those that save."""
     tried, quantities = what

@@ -65,7 +65,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 @dataclass(frozen=True)
-class Advice:
+class PointAdvice:
     """One open point and the pressings for it."""
 
     point: OpenPoint
@@ -94,14 +94,14 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Plan:
+class PressingPlan:
     """What the runs leave open and the next pressings worth most, most open first."""
 
     runs: int
     verdict: str
     usual: Settings
     ranges: Ranges
-    points: tuple[Advice, ...]
+    points: tuple[PointAdvice, ...]
 
     __repr__ = on_screen
 
@@ -159,7 +159,7 @@ def plan(
     progress: Progress | None = None,
     *,
     causes_alone: bool = False,
-) -> Plan:
+) -> PressingPlan:
     """Return the next pressings worth most after a diagnosis.
 
     What a pressing would bring is forecast by the campaign's model, so a campaign that it does not describe has
@@ -202,7 +202,7 @@ def plan(
         report(point.name, (i + 1) / (len(points) + 1))
         if (advice := _advice(bench, point, allowed)) is not None:
             advised.append(advice)
-    return Plan(len(digests), found.verdict.value, usual, allowed, tuple(advised))
+    return PressingPlan(len(digests), found.verdict.value, usual, allowed, tuple(advised))
 
 
 def ranges_of(
@@ -223,7 +223,7 @@ def _middle(settings: Sequence[Settings]) -> int:
     return min(range(len(settings)), key=lambda i: off(settings[i]))
 
 
-def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> Advice | None:
+def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> PointAdvice | None:
     repeated = bench.pressing(point, bench.usual)
     if repeated is None:
         return None
@@ -234,7 +234,7 @@ def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> Advice | Non
             best = _best_level(bench, point, best, name, ranges[name])
         if best is before:
             break
-    return Advice(point, repeated, best, _with_core(bench, point, best))
+    return PointAdvice(point, repeated, best, _with_core(bench, point, best))
 
 
 def _with_core(bench: _WorkedOut, point: OpenPoint, best: PlannedPressing) -> PlannedPressing | None:

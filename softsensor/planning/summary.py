@@ -11,13 +11,13 @@ from softsensor.fitting.experiment_advice import MANY
 from softsensor.planning.advise import ProgrammeAdvice
 from softsensor.planning.made_up import COEFFICIENTS, EFFECTS, KINETICS, PLATENS, SORPTION
 from softsensor.planning.open_points import NOTHING, OpenPoint, PointKind, Prospect
-from softsensor.planning.plan import Advice, Plan, PlannedPressing
+from softsensor.planning.plan import PlannedPressing, PointAdvice, PressingPlan
 
 SAVINGS = 3
 """Sources of doubt that are shown, those that would save most."""
 
 
-def plan_messages(found: Plan) -> Iterator[Message]:
+def plan_messages(found: PressingPlan) -> Iterator[Message]:
     """Say each open point with its pressings, one line each."""
     if found.verdict == Verdict.NOT_DESCRIBED:
         yield say("plan-not-described")
@@ -39,7 +39,7 @@ def point_message(point: OpenPoint) -> Message:
     return say("plan-open-suspected", causes=causes) if point.suspected else say("plan-open-causes", causes=causes)
 
 
-def pressing_messages(advice: Advice) -> Iterator[Message]:
+def pressing_messages(advice: PointAdvice) -> Iterator[Message]:
     """Say the best pressing, the same with a thermocouple in the core, and what repeating brings."""
     kind = advice.point.kind
     yield best_message(advice)
@@ -51,7 +51,7 @@ def pressing_messages(advice: Advice) -> Iterator[Message]:
         yield say("plan-repeated", prospect=prospect_message(advice.repeated.prospect, kind))
 
 
-def best_message(advice: Advice) -> Message:
+def best_message(advice: PointAdvice) -> Message:
     """Say the best pressing alone."""
     prospect = prospect_message(advice.best.prospect, advice.point.kind)
     if not advice.best.changed:

@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from daq.printed import LINE
 from daq.words import say
 from daq.words.message import ENGLISH, words
-from softsensor.planning.plan import Plan
+from softsensor.planning.plan import PressingPlan
 from softsensor.planning.summary import point_message
 from softsensor.report.fit_figures import COLOURS, sheet
 
 
-def plan_figure(found: Plan, language: str = ENGLISH) -> Figure:
+def plan_figure(found: PressingPlan, language: str = ENGLISH) -> Figure:
     """Draw a bar a pressing for each open point, the most open on top."""
     put = partial(words, language=language)
     kinds = ("best", "with_core", "repeated")

@@ -22,7 +22,7 @@ from daq.files.run_file import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.campaign_sensors import CHANNELS
 from daq.simulated.devices import simulated, wiring
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 
 ROOT = Path(__file__).parents[2]
 RATE_HZ, MEASURED_S = 10.0, 75.0
@@ -85,7 +85,7 @@ def listen(address, seconds):
 
 
 def test_from_a_loggers_reply_to_a_listener(tmp_path, capsys):
-    quick = PressSettings(between_s=(8.0, 9.0), press_time_s=(30.0, 31.0), open_after_s=(15.0, 16.0))
+    quick = VirtualPressSettings(between_s=(8.0, 9.0), press_time_s=(30.0, 31.0), open_after_s=(15.0, 16.0))
     press = VirtualPress(quick, 11)
     press.cycle(0.0)  # solved before the clock runs
     replies = []

@@ -7,7 +7,7 @@ from daq.press.late_beginning import LateBeginning
 from daq.press.press_file import parse_press
 from daq.records import PressEventKind, PressState
 from daq.simulated.campaign_pressfile import press_toml
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 
 PRESS = parse_press(press_toml())
 PERIOD_S = 0.5
@@ -15,7 +15,7 @@ PERIOD_S = 0.5
 
 @pytest.fixture(scope="module")
 def virtual():
-    press = VirtualPress(PressSettings(press_time_s=(40.0, 60.0), keep=40), 5)
+    press = VirtualPress(VirtualPressSettings(press_time_s=(40.0, 60.0), keep=40), 5)
     press.cycle(600.0)
     return press
 

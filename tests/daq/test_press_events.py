@@ -14,7 +14,7 @@ from daq.press.press_file import parse_press
 from daq.records import PressEventKind, PressState, Run
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 from softsensor.signals.moments import moments_seen
 from tests.editions import edition
 
@@ -102,7 +102,7 @@ def test_a_thousand_pressings_are_found_to_the_scan(rate_hz, limit_s, skew_s):
 @pytest.mark.parametrize("rate_hz", [10.0, 1.0])
 def test_whole_days_of_pressing_give_each_event_once_and_in_order(rate_hz):
     for seed in range(2):
-        virtual = VirtualPress(PressSettings(thickness_mm=(16.0, 8.0)[seed]), seed)
+        virtual = VirtualPress(VirtualPressSettings(thickness_mm=(16.0, 8.0)[seed]), seed)
         detector, kinds, t = PressEventDetector(PRESS), [], 0.0
         while virtual.cycle(t).number <= 8:
             scan = {name: round(value, 1) for name, value in virtual.temperatures(t).items()}
@@ -568,7 +568,7 @@ def test_unusual_pressings_are_found_too_and_none_is_taken_for_removed(hidden, p
 
 def whole_pressing(seed, after_s, apart_s):
     """Return times and readings from before a panel's insertion until after its removal, and the truth."""
-    virtual = VirtualPress(PressSettings(), seed)
+    virtual = VirtualPress(VirtualPressSettings(), seed)
     moments = virtual.cycle(0.0).moments
     times = np.arange(moments.inserted_s - 5, moments.removed_s + after_s, apart_s)
     scans = [virtual.temperatures(t) for t in times.tolist()]

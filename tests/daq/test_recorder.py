@@ -25,7 +25,7 @@ from daq.recording.recorder import _ConfigWatch, _status, record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 from daq.store import RunStatus, open_store
 from daq.store.outbox import Outbox
 from daq.store.write_batch import Entry
@@ -34,7 +34,7 @@ from tests.patience import wait_until
 
 UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
 LOWER = tuple(f"bottom_{i}" for i in range(1, 8))
-QUICK = PressSettings(between_s=(12.0, 16.0), press_time_s=(25.0, 30.0), open_after_s=(12.0, 16.0), keep=40)
+QUICK = VirtualPressSettings(between_s=(12.0, 16.0), press_time_s=(25.0, 30.0), open_after_s=(12.0, 16.0), keep=40)
 
 
 class Plant:

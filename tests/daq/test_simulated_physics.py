@@ -131,11 +131,11 @@ def test_the_integrator_agrees_with_scipy_on_the_same_equations() -> None:
     mesh = build_mesh(p, "fast")
     knobs, y = build_knobs(p, mesh), first_state(p, mesh, None)
     n, m = len(y.T), len(y.w)
-    flow, d = kernel.Flow(np.empty(n + 1), np.empty(n)), kernel.State(np.empty(n), np.empty(m), np.empty(5))
+    flow, d = kernel.Flow(np.empty(n + 1), np.empty(n)), kernel.NodeState(np.empty(n), np.empty(m), np.empty(5))
 
     def rates(t: float, v: np.ndarray, middle: float) -> np.ndarray:
-        now = kernel.State(v[:n].copy(), v[n : n + m].copy(), v[n + m :].copy())
-        kernel.slope(kernel.At(t, middle), now, knobs, mesh.stack, flow, d)
+        now = kernel.NodeState(v[:n].copy(), v[n : n + m].copy(), v[n + m :].copy())
+        kernel.slope(kernel.Instant(t, middle), now, knobs, mesh.stack, flow, d)
         return np.concatenate((d.T, d.w, d.x))
 
     v = np.concatenate((y.T, y.w, y.x))

@@ -12,7 +12,7 @@ import pytest
 from daq.press.header import panel_of
 from daq.records import InputError, PressState, Run
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
-from daq.simulated.press import Cycle, PressSettings, VirtualPress
+from daq.simulated.press import Cycle, VirtualPress, VirtualPressSettings
 
 PERFECT = Nuisances.none()
 
@@ -23,7 +23,7 @@ def readings(press: VirtualPress, times: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def test_pressings_follow_one_another_and_differ() -> None:
-    press = VirtualPress(PressSettings(keep=20), seed=5)
+    press = VirtualPress(VirtualPressSettings(keep=20), seed=5)
     press.cycle(1500.0)
     cycles = press.cycles
     assert len(cycles) >= 9
@@ -54,7 +54,7 @@ def test_no_cycle_is_solved_in_the_thread_that_asks(monkeypatch: pytest.MonkeyPa
 
 
 def test_two_presses_of_one_seed_agree_whatever_was_asked_before() -> None:
-    one, two = VirtualPress(seed=11), VirtualPress(PressSettings(), seed=11)
+    one, two = VirtualPress(seed=11), VirtualPress(VirtualPressSettings(), seed=11)
     for t in np.arange(0.0, 400.0, 7.3):
         one.temperatures(float(t))
     assert one.temperatures(401.0) == two.temperatures(401.0)
@@ -63,7 +63,7 @@ def test_two_presses_of_one_seed_agree_whatever_was_asked_before() -> None:
 
 
 def test_states_come_in_order_and_the_limit_switch_agrees() -> None:
-    press = VirtualPress(PressSettings(keep=20), seed=2)
+    press = VirtualPress(VirtualPressSettings(keep=20), seed=2)
     seen = [press.state(t) for t in np.arange(0.0, 600.0, 0.5)]
     changes = [b for a, b in itertools.pairwise(seen) if a != b]
     order = [PressState.OPEN, PressState.CLOSED, PressState.OPEN, PressState.IDLE]
@@ -83,7 +83,7 @@ def test_the_core_is_known_only_while_a_panel_is_in_the_press() -> None:
 
 
 def test_thermocouples_wander_between_hand_and_room_from_panel_to_panel() -> None:
-    press = VirtualPress(PressSettings(nuisances=PERFECT, keep=9), seed=8)
+    press = VirtualPress(VirtualPressSettings(nuisances=PERFECT, keep=9), seed=8)
     first = press.cycle(0.0)
     second = press.cycle(first.end + 1.0)
     times = np.arange(first.end, second.moments.inserted_s, 0.1)
@@ -100,7 +100,7 @@ def test_thermocouples_wander_between_hand_and_room_from_panel_to_panel() -> Non
 
 
 def test_readings_do_not_jump_from_one_cycle_to_the_next() -> None:
-    press = VirtualPress(PressSettings(nuisances=PERFECT, keep=9), seed=9)
+    press = VirtualPress(VirtualPressSettings(nuisances=PERFECT, keep=9), seed=9)
     end = 0.0
     for _ in range(3):
         end = press.cycle(end).end
@@ -110,7 +110,7 @@ def test_readings_do_not_jump_from_one_cycle_to_the_next() -> None:
 
 
 def test_platens_ripple_and_dip_when_the_press_loads() -> None:
-    press = VirtualPress(PressSettings(nuisances=PERFECT), seed=6)
+    press = VirtualPress(VirtualPressSettings(nuisances=PERFECT), seed=6)
     m = press.cycle(0.0).moments
     t = np.arange(0.0, m.opened_s, 0.5)
     upper = readings(press, t)["platen_top"]
@@ -121,7 +121,7 @@ def test_platens_ripple_and_dip_when_the_press_loads() -> None:
 
 def test_a_hidden_effect_changes_the_core_and_not_the_moments() -> None:
     plain = VirtualPress(seed=21)
-    hidden = VirtualPress(PressSettings(hide=("vapour_convection",)), seed=21)
+    hidden = VirtualPress(VirtualPressSettings(hide=("vapour_convection",)), seed=21)
     assert hidden.effects["vapour_convection"]["W_m3K"] >= 1e4
     a, b = plain.cycle(0.0), hidden.cycle(0.0)
     assert a.moments == b.moments
@@ -129,12 +129,12 @@ def test_a_hidden_effect_changes_the_core_and_not_the_moments() -> None:
 
 
 def test_a_rim_loss_is_seen_most_by_the_sensors_at_the_rim() -> None:
-    press = VirtualPress(PressSettings(hide=("edge_loss",), nuisances=PERFECT), seed=21)
+    press = VirtualPress(VirtualPressSettings(hide=("edge_loss",), nuisances=PERFECT), seed=21)
     m = press.cycle(0.0).moments
     late = readings(press, np.arange(m.opened_s + 5.0, m.removed_s, 1.0))
     centre, rim = late["top_1"], (late["top_6"] + late["top_7"]) / 2
     assert (centre - rim).mean() > 0.5
-    plain = VirtualPress(PressSettings(nuisances=PERFECT), seed=21)
+    plain = VirtualPress(VirtualPressSettings(nuisances=PERFECT), seed=21)
     row = plain.temperatures(m.opened_s + 10.0)
     assert row["top_1"] == pytest.approx(row["top_7"], abs=1e-9)
 
@@ -183,7 +183,7 @@ def test_what_is_said_holds_for_the_panel_that_comes_and_for_none_that_is_in_the
 
 
 def test_a_wetter_panel_evaporates_more_where_evaporation_is_hidden() -> None:
-    wet, dry = (VirtualPress(PressSettings(hide=("moisture_evaporation",)), seed=3) for _ in range(2))
+    wet, dry = (VirtualPress(VirtualPressSettings(hide=("moisture_evaporation",)), seed=3) for _ in range(2))
     wet.set_panels(1, {"panel.moisture_percent": 12.0})
     more, less = (press.cycle(0.0).pressing.effects["moisture_evaporation"] for press in (wet, dry))
     assert more["moisture_percent"] == pytest.approx(1.5 * less["moisture_percent"])
@@ -191,11 +191,11 @@ def test_a_wetter_panel_evaporates_more_where_evaporation_is_hidden() -> None:
 
 def test_an_unknown_effect_is_refused_by_name() -> None:
     with pytest.raises(InputError, match="'steam': unknown; known are moisture_evaporation"):
-        VirtualPress(PressSettings(hide=("steam",)))
+        VirtualPress(VirtualPressSettings(hide=("steam",)))
 
 
 def test_a_time_that_left_memory_is_refused() -> None:
-    press = VirtualPress(PressSettings(keep=2), seed=1)
+    press = VirtualPress(VirtualPressSettings(keep=2), seed=1)
     press.temperatures(2000.0)
     with pytest.raises(ValueError, match="in memory"):
         press.temperatures(10.0)

@@ -18,7 +18,7 @@ from daq.process.config import load_config
 from daq.recording.recorder import record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 from daq.store import RunStatus, Store, open_store
 from tests.patience import wait_until
 
@@ -44,7 +44,7 @@ def has_run(store: Store, press: str, recorder: threading.Thread) -> bool:
 def test_two_presses_are_recorded_by_one_process_into_one_database_and_shown_on_one_page(tmp_path, postgresql_url):
     began = time.monotonic()
     presses = {
-        name: VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=40), seed)
+        name: VirtualPress(VirtualPressSettings(between_s=(12.0, 16.0), keep=40), seed)
         for name, seed in (("north", 3), ("south", 8))
     }
     for press in presses.values():

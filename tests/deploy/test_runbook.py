@@ -27,7 +27,7 @@ from distributed import Client
 from daq.files.run_file import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 from daq.store import RunStatus, open_store
 from tests.patience import wait_until
 
@@ -96,7 +96,7 @@ class PressPc:
         self._reads = 0
         self.warm_from: int | None = None
         self.began_s = self.stands_s = 0.0
-        self.press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=60), 3)
+        self.press = VirtualPress(VirtualPressSettings(between_s=(12.0, 16.0), keep=60), 3)
         self.press.cycle(0.0)  # solved before a logger asks
         upper = simulated("adam-6018+", self._upper, clock=self._clock, refresh_s=0.0)
         lower = simulated("adam-4118-ascii", self._lower, clock=self._clock, refresh_s=0.1)

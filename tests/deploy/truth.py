@@ -15,7 +15,7 @@ from pathlib import Path
 
 from daq.drivers.polled import FOUND_AGAIN_S
 from daq.records import Moments
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import VirtualPress, VirtualPressSettings
 from daq.store.outbox import _LONGEST_RETRY_S
 
 RESTARTED = "recorder ended in order"
@@ -186,7 +186,7 @@ class PacedPress:
         self.mornings: list[tuple[float, int]] = []
         """When it was told to go on, and for how many pressings. [s]"""
         self._to_come = list(mornings)
-        self._press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=8), seed)
+        self._press = VirtualPress(VirtualPressSettings(between_s=(12.0, 16.0), keep=8), seed)
         self.ambient = self._press.ambient
         self.pressed: dict[int, Moments] = {}
         """Each pressing's true moments on the plant's clock. [s]"""

@@ -11,7 +11,7 @@ from softsensor.diagnosis.decision import (
     Objection,
     Proof,
     Remains,
-    Step,
+    SearchStep,
     Verdict,
     VerdictBasis,
     beyond_chance,
@@ -80,7 +80,7 @@ def test_a_cause_is_taken_in_unless_one_thing_speaks_against_it(change, expected
     claim = replace(LOSS, **change)
     found = choose(claims(claim))
     assert objections(claim, claims(claim)) == expected
-    assert found.step is (Step.NO_CAUSE_CONVINCES if expected else Step.CAUSE_NAMED)
+    assert found.step is (SearchStep.NO_CAUSE_CONVINCES if expected else SearchStep.CAUSE_NAMED)
     assert found.set == (() if expected else ("edge_loss",))
 
 
@@ -153,11 +153,11 @@ def test_cores_make_a_set_smaller_and_say_what_they_speak_against():
 
 
 STOPS = (
-    (replace(PLAIN, runs=1, claims=(LOSS,)), Step.ONE_RUN),
-    (replace(PLAIN, claims=(replace(LOSS, p_value=1.0),)), Step.NO_CAUSE_CONVINCES),
-    (PLAIN, Step.NOTHING_TO_TRY),
-    (replace(PLAIN, claims=(LOSS,), causes=3), Step.ENOUGH_CAUSES),
-    (replace(PLAIN, claims=(LOSS,), causes=2), Step.CAUSE_NAMED),
+    (replace(PLAIN, runs=1, claims=(LOSS,)), SearchStep.ONE_RUN),
+    (replace(PLAIN, claims=(replace(LOSS, p_value=1.0),)), SearchStep.NO_CAUSE_CONVINCES),
+    (PLAIN, SearchStep.NOTHING_TO_TRY),
+    (replace(PLAIN, claims=(LOSS,), causes=3), SearchStep.ENOUGH_CAUSES),
+    (replace(PLAIN, claims=(LOSS,), causes=2), SearchStep.CAUSE_NAMED),
 )
 
 

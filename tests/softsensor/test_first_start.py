@@ -9,21 +9,21 @@ import pytest
 
 from daq.compiled_ahead import read_list, write_list
 from softsensor.jobs import first_start
-from softsensor.jobs.first_start import Work, compile_for, list_of
+from softsensor.jobs.first_start import WorkKind, compile_for, list_of
 from tests.daq.test_compiled import ROOT
 
 NEEDED = """
 import json, sys
 from daq import compiled
-from softsensor.jobs.first_start import Work
+from softsensor.jobs.first_start import WorkKind
 from tests.first_start import do
-do(Work(sys.argv[1]))
+do(WorkKind(sys.argv[1]))
 found = compiled._FUNCTIONS.items()
 print(json.dumps([(module, name, str(tuple(s))) for (module, name), f in found for s in f.overloads]))
 """
 
 
-@pytest.mark.parametrize("work", Work)
+@pytest.mark.parametrize("work", WorkKind)
 def test_the_list_holds_what_the_work_compiles(work):
     """Else: ``python -m tests.first_start``."""
     command = [sys.executable, "-c", NEEDED, work]
@@ -32,7 +32,7 @@ def test_the_list_holds_what_the_work_compiles(work):
     assert {(of.module, of.name, str(of.signature)) for of in read_list(list_of(work))} == needed
 
 
-@pytest.mark.parametrize("work", Work)
+@pytest.mark.parametrize("work", WorkKind)
 def test_a_list_is_written_as_it_was_read_and_callees_stand_first(work, tmp_path):
     functions = read_list(list_of(work))
     write_list(tmp_path / "list.json", functions)
@@ -41,8 +41,8 @@ def test_a_list_is_written_as_it_was_read_and_callees_stand_first(work, tmp_path
 
 
 def test_a_list_that_does_not_fit_the_code_costs_time_and_nothing_else(tmp_path, monkeypatch, caplog):
-    functions = read_list(list_of(Work.FIT))
+    functions = read_list(list_of(WorkKind.FIT))
     write_list(tmp_path / "first_start_fit.json", [replace(functions[0], name="gone"), *functions[1:]])
     monkeypatch.setattr(first_start, "LISTS", tmp_path)
-    compile_for.__wrapped__(Work.FIT)
+    compile_for.__wrapped__(WorkKind.FIT)
     assert "first_start_fit.json does not fit the code: python -m tests.first_start" in caplog.text

@@ -3,7 +3,7 @@
 import numpy as np
 
 from softsensor.live.block_steps import Counted
-from softsensor.live.blocks import Scans, blocks_of, cut
+from softsensor.live.blocks import ScanArrays, blocks_of, cut
 
 ALWAYS = (-np.inf, np.inf)
 MOMENTS = np.array([0.0, np.nan, 10.0, np.nan, np.nan])
@@ -11,7 +11,7 @@ MOMENTS = np.array([0.0, np.nan, 10.0, np.nan, np.nan])
 
 def scans(times, readings):
     """Two faces with one sensor each."""
-    kept = Scans(np.array([0, 1]), 2)
+    kept = ScanArrays(np.array([0, 1]), 2)
     for t, values in zip(times, readings, strict=True):
         kept.append(t, (200.0, 201.0), np.array(values))
     return kept

@@ -42,7 +42,7 @@ from softsensor.jobs.night_fits import Done, FitTask, fit_all, fit_stored
 from softsensor.jobs.night_judgement import surely_less
 from softsensor.jobs.night_record import night_record, stored_night_record
 from softsensor.jobs.nights import refit_presses
-from softsensor.jobs.retention import Kept, Rules, keep_house
+from softsensor.jobs.retention import OldScans, Rules, keep_house
 from softsensor.report.night_report import night_report, write_report
 from tests.editions import edition
 from tests.panels import panel_stated
@@ -454,7 +454,7 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     assert model["basis"]["rmse_still_K"]["after"] < 1.02 * model["basis"]["rmse_still_K"]["before"]
 
     fits = {run.name: {"rmse_K": 0.3} for run in runs}
-    night = nightly_judge.Night(store, "lab", PRESS, rim, [], fits)
+    night = nightly_judge.NightBasis(store, "lab", PRESS, rim, [], fits)
     worse = {name: {"rmse_K": 0.3 + 0.1 * i} for i, name in enumerate(fits, 1)}
     kept = nightly_judge._compare(night, report, plain, worse, apart=True, fewer=("edge_loss",))
     assert not kept.better
@@ -475,7 +475,7 @@ def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
     monkeypatch.setattr(nightly_judge, "_core_rmse", lambda *_: core)
     monkeypatch.setattr(nightly_judge, "_predictions", lambda *_, **__: None)
     before, after = ({f"run-{i}": {"rmse_K": rmse} for i in range(6)} for rmse in (0.4, 0.3))
-    night = nightly_judge.Night(None, "lab", PRESS, None, [], before)
+    night = nightly_judge.NightBasis(None, "lab", PRESS, None, [], before)
     found = nightly_judge._compare(night, {}, rim, after, apart=True)
     assert str(found.reason).endswith(says)
     assert found.better is (core.after_K < core.before_K)
@@ -488,7 +488,7 @@ def test_what_moves_with_the_press_does_not_promote_a_model(monkeypatch):
     monkeypatch.setattr(nightly_judge, "_predictions", lambda *_, **__: None)
 
     def found(before, after):
-        night = nightly_judge.Night(None, "lab", PRESS, None, [], {f"run-{i}": before for i in range(6)})
+        night = nightly_judge.NightBasis(None, "lab", PRESS, None, [], {f"run-{i}": before for i in range(6)})
         return nightly_judge._compare(night, {}, rim, dict.fromkeys(night.fits, after), apart=True)
 
     moved = found({"rmse_K": 2.0, "rmse_still_K": 0.3}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
@@ -529,7 +529,7 @@ def test_a_gain_that_only_some_runs_have_is_not_promoted():
 def test_a_run_is_predicted_from_platens_and_header_alone(store, runs):
     """Panel sensors moved by 3 K move nothing of the prediction, so its error grows by what they are off."""
     table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
-    night = nightly_judge.Night(store, "lab", PRESS, None, [], {})
+    night = nightly_judge.NightBasis(store, "lab", PRESS, None, [], {})
     run, model = runs[0], ModelFile("lab-1", "lab", table)
     out = nightly_judge.simulate_run(run, PRESS, model.model(PRESS), model.values)
     inside = out.time_s >= nightly_judge.moments_of(run, PRESS).inserted_s
@@ -548,7 +548,7 @@ def test_judging_runs_that_took_part_are_judged_by_what_the_others_predicted(sto
         "extended": {"predicted_rmse_K": 2.5},
         "predicted_gain_ci95": [0.1, 0.9],
     }
-    night = nightly_judge.Night(store, "lab", PRESS, None, [], {})
+    night = nightly_judge.NightBasis(store, "lab", PRESS, None, [], {})
     found = nightly_judge._predictions(night, report, ModelFile("", "lab", {}), ["run-1"], apart=False)
     assert found == nightly_judge._Predictions(3.0, 2.5, True)
     unsure = {**report, "predicted_gain_ci95": [-0.1, 0.9]}
@@ -999,7 +999,7 @@ def test_a_night_without_time_leaves_the_archive_to_the_next_and_a_wrong_folder_
     rules = Rules(tmp_path / "archive", timedelta(days=90), None, 0.0, datetime.now(UTC))
     assert keep_house(store, "lab", rules, datetime.now(UTC)).archive_later == 1
     lost = keep_house(store, "lab", replace(rules, folder=tmp_path / "file"), datetime.now(UTC))
-    assert lost == Kept(problem=lost.problem)
+    assert lost == OldScans(problem=lost.problem)
     assert "correct store.archive" in str(lost.problem)
     [said] = store.journal(level="alarm").items
     assert "correct store.archive" in str(said.message)

@@ -162,7 +162,7 @@ def test_the_same_effects_found_by_its_own_runs_take_the_place_of_its_sisters_mo
     monkeypatch.setattr(night_judgement, "_diagnose", lambda night, asked: (report, own, []))
     monkeypatch.setattr(night_judgement, "_fits_with", lambda night, candidate, runs: {r: fits[r] for r in runs})
     monkeypatch.setattr(night_judgement, "_core_rmse", lambda *_: None)
-    night = night_judgement.Night(store, "d", PRESS, rim, records, fits)
+    night = night_judgement.NightBasis(store, "d", PRESS, rim, records, fits)
     outcome = night_judgement.judge_night(night, night_judgement.NightOutcome("d", 6, 0, 0, "d-model"))
     assert outcome.promoted is promoted
     assert not promoted or "sisters" not in store.active_model("d").model

@@ -37,7 +37,7 @@ KEPT = 32
 
 
 @dataclass(frozen=True)
-class Known:
+class RunModel:
     """What a run is simulated with: its own fit and the model it was fitted with, else the model in force."""
 
     version: str | None
@@ -53,7 +53,7 @@ class Known:
 _KEPT: Kept[tuple[str, ...], Simulated] = Kept(KEPT)
 
 
-def _simulated(store: Store, record: RunRecord) -> tuple[Simulated, Known]:
+def _simulated(store: Store, record: RunRecord) -> tuple[Simulated, RunModel]:
     """Return the simulation of a run as it stands, and what it was simulated with."""
     known = known_of(store, record)
     newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
@@ -146,12 +146,12 @@ def _recorded(store: Store, run: str) -> dict[str, Any]:
     }
 
 
-def known_of(store: Store, record: RunRecord) -> Known:
+def known_of(store: Store, record: RunRecord) -> RunModel:
     """Return what a run is simulated with."""
     active = store.active_model(record.press)
     fit = store.fit(record.run)
     if fit is None:
-        return Known(active.version if active else None, active, {})
+        return RunModel(active.version if active else None, active, {})
     version = fit.get("model_version") or None
     behind = active if active and active.version == version else None
     if behind is None and version:
@@ -160,10 +160,10 @@ def known_of(store: Store, record: RunRecord) -> Known:
     values = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
     moments = {name: fit[name] for name in MOMENTS if fit.get(name) is not None}
     left = {place: value for place, value in fit.get("rmse_places_K", {}).items() if value is not None}
-    return Known(version, behind, values, moments, left)
+    return RunModel(version, behind, values, moments, left)
 
 
-def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
+def _simulate(store: Store, record: RunRecord, known: RunModel) -> Simulated:
     from softsensor.fitting.simulated_run import simulate_run
     from softsensor.heat.model import ThermalModel
     from softsensor.heat.model_reading import parse_model

@@ -16,7 +16,7 @@ from api.answers.decimation import column_values
 from api.answers.schemas import WhatIfAnswer, WhatIfOutcome, WhatIfSetting
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import ResinsDep, StoreDep, existing_run
-from api.http.routes.simulation import Known, known_of
+from api.http.routes.simulation import RunModel, known_of
 from daq.press.header import LIMITS, NumberLimits
 from daq.press.press_file import parse_press
 from daq.press.resin_file import Resin, read_resin
@@ -166,7 +166,7 @@ def _live_core(store: Store, record: RunRecord, opened_s: float) -> LiveCore | N
     )
 
 
-def _own_model(store: Store, record: RunRecord, known: Known) -> ModelFile:
+def _own_model(store: Store, record: RunRecord, known: RunModel) -> ModelFile:
     """Return the model a run was fitted with, with the run's own coefficients; where it has none, what they are.
 
     Where nothing is known of how coefficients differ from run to run, their doubt is that of the run's fit.

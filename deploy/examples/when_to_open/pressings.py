@@ -33,7 +33,7 @@ from daq.records import Array, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from daq.simulated.curing import Paper, cured, draw_paper
-from daq.simulated.physics import Solution, solve
+from daq.simulated.physics import SolvedPressing, solve
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile
 from softsensor.live.replay import replay
@@ -148,7 +148,7 @@ def pressed(run: Run, truth: Truth, paper: Paper, told: Resin) -> Pressed:
     )
 
 
-def _all_but_the_paper(solved: Solution, times: Array, told: Resin) -> Array:
+def _all_but_the_paper(solved: SolvedPressing, times: Array, told: Resin) -> Array:
     """Return by how much the lower bound of the equivalent time's logarithm passes what the limit takes (t)."""
 
     def log_time(paper: Paper) -> Array:

@@ -13,7 +13,7 @@ from softsensor.diagnosis.decision import FEW_RUNS
 from softsensor.diagnosis.extension import held_out
 from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.laws.curve import band, curve_of, resembles, two_sided
-from softsensor.diagnosis.laws.fitting import Tried, tried
+from softsensor.diagnosis.laws.fitting import FittedLaw, tried
 from softsensor.diagnosis.laws.kinds import kinds
 from softsensor.diagnosis.settling import SettledModel, run_errors
 from softsensor.effects.effect import LawOf
@@ -91,7 +91,7 @@ def free_law(stage: SettledModel) -> Law | None:
     )
 
 
-def _kept(law: Tried) -> dict[str, FittedValue]:
+def _kept(law: FittedLaw) -> dict[str, FittedValue]:
     """Return a law's numbers for a model file; its strength is as unsure as the curve is, root mean square."""
     value, low, high = band(law)
     doubt = float(np.sqrt(np.mean(((high - low) / 2.0) ** 2) / np.mean(value**2))) / two_sided(law)

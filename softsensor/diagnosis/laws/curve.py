@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.laws.fitting import Tried
+from softsensor.diagnosis.laws.fitting import FittedLaw
 from softsensor.diagnosis.numbers import MODEL_ERROR
 from softsensor.effects import catalogue
 from softsensor.effects.effect import LawOf
@@ -19,12 +19,12 @@ INSIDE = 0.9
 """Share of the points at which a known cause's curve must lie in the band to be recognised: issue 24's measure."""
 
 
-def curve_of(law: Tried) -> Array:
+def curve_of(law: FittedLaw) -> Array:
     """Return the curve with its 95 % band in the law's unit (points, 4)."""
     return np.stack([law.kind.x, *map(law.kind.quantity, band(law))], axis=1)
 
 
-def band(law: Tried) -> tuple[Array, Array, Array]:
+def band(law: FittedLaw) -> tuple[Array, Array, Array]:
     """Return the function with its 95 % band: the wider of curvature and scatter from run to run, by point.
 
     What a smooth law leaves over of a sharp one counts as noise in the curvature. To it comes what every law of
@@ -46,7 +46,7 @@ def band(law: Tried) -> tuple[Array, Array, Array]:
     return middle, middle - half, middle + half
 
 
-def two_sided(law: Tried) -> float:
+def two_sided(law: FittedLaw) -> float:
     """Return how many standard deviations 95 % lie within, with as many runs."""
     return student(max(len(law.fit.runs) - 1, 1))
 

@@ -18,7 +18,7 @@ STRENGTHS = np.geomspace(0.02, 10.0, 19)
 
 
 @dataclass(frozen=True)
-class Tried:
+class FittedLaw:
     """A kind fitted to all runs."""
 
     kind: LawKind
@@ -34,7 +34,7 @@ class Tried:
         return [names.index(self.kind.effect.key(p.name)) for p in self.kind.effect.parameters]
 
 
-def tried(stage: SettledModel, kind: LawKind) -> Tried | None:
+def tried(stage: SettledModel, kind: LawKind) -> FittedLaw | None:
     """Fit a kind beside everything else; None where the runs drive it to what no matter has."""
     try:
         return _fitted(stage, kind)
@@ -42,7 +42,7 @@ def tried(stage: SettledModel, kind: LawKind) -> Tried | None:
         return None
 
 
-def _fitted(stage: SettledModel, kind: LawKind) -> Tried:
+def _fitted(stage: SettledModel, kind: LawKind) -> FittedLaw:
     """Fit a kind beside everything else, its strength learned twice on the way."""
     model = stage.fit.layout.model.extended(kind.effect)
     names = [kind.effect.key(p.name) for p in kind.effect.parameters]
@@ -56,7 +56,7 @@ def _fitted(stage: SettledModel, kind: LawKind) -> Tried:
         layout = layout.begun(fit.theta)
     others = held_out(fit, stage.data, thetas=from_the_others(fit, stage.data))
     readings = sum(int(d.digest.valid.sum()) for d in stage.data)
-    return Tried(kind, fit, run_errors(stage.data, others), readings)
+    return FittedLaw(kind, fit, run_errors(stage.data, others), readings)
 
 
 def _strong(layout: Unknowns, names: Sequence[str], strength: float) -> Unknowns:

@@ -1,4 +1,4 @@
-"""What a solve is asked for."""
+"""What is to be solved: values of the parameters, and by which of them to differentiate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from softsensor.effects import Terms
 
 
 @dataclass(frozen=True)
-class Asked:
+class SolveRequest:
     """What a solve is for."""
 
     values: Mapping[str, float]
