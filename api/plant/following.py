@@ -64,8 +64,16 @@ class Following:
         for press in self.store.presses():
             if (press, "scan") not in self.position:  # a press that was recorded for the first time
                 self.position |= {(press, "scan"): -1, (press, "estimate"): -1, (press, "event"): 0}
+        return [m for place, number in list(self.position.items()) for m in self._after(place, number)]
+
+    def message(self, place: Place, number: int) -> Outgoing | None:
+        """Return the message of a list that has a number, None where the store has none."""
+        following = self._after(place, number - 1) if number > 0 or place[1] != "event" else []
+        return next((m for m in following[:1] if m.number == number), None)
+
+    def _after(self, place: Place, number: int) -> list[Outgoing]:
         read = {"scan": self._scans, "estimate": self._estimates, "event": self._events}
-        return [m for (press, kind), number in list(self.position.items()) for m in read[kind](press, number)]
+        return read[place[1]](place[0], number)
 
     def seen(self, message: Outgoing) -> None:
         """Note that a message has arrived."""

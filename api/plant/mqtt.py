@@ -16,9 +16,10 @@ Records stay what they were at their `utc`, retained or not: a retained estimate
 After an interruption everything stored meanwhile follows, in order. Where to go on is asked of the broker
 itself: its retained message carries the number that really arrived, so nothing is sent twice even if the
 answer to it was lost (2026-11-21; a number kept here alone would repeat what was in flight). A broker that
-forgot is continued from the position kept in the store. A broker that drops after it has stored a message and
-before it retains it could still see one twice: `number` shows it. What the live sensor fills in afterwards, for
-the seconds of an idle press before an insertion it had not seen yet, is in the store alone.
+forgot is continued from the position kept in the store; so is one that keeps a message which is not this store's
+to the last byte: anybody may have written it, and the journal says so. A broker that drops after it has stored a
+message and before it retains it could still see one twice: `number` shows it. What the live sensor fills in
+afterwards, for the seconds of an idle press before an insertion it had not seen yet, is in the store alone.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from hashlib import sha256
 from typing import Any
 
 import paho.mqtt.client as paho
@@ -45,6 +47,7 @@ from daq.supervision import Steps
 from daq.tables import reason_of, text_in
 from daq.words import Message, say, spoken
 
+PROCESS = "publish"
 QOS = 1
 """At least once: the broker acknowledges, and what is repeated does no harm, for a value replaces a value."""
 KEEPALIVE_S = 15
@@ -73,6 +76,14 @@ class Will:
     keepalive_s: int = KEEPALIVE_S
 
 
+@dataclass(frozen=True)
+class Kept:
+    """What a broker keeps of a list: the number in the message, and the message's sum."""
+
+    number: int
+    sum: bytes
+
+
 class Broker:
     """One connection to the broker: it ends with the first fault, and a new one is made."""
 
@@ -82,8 +93,8 @@ class Broker:
         self._answered = threading.Event()
         self._lost = threading.Event()
         self._reason: Message | None = None
-        self._arrived: dict[str, int | None] = {}
-        """Of the topics asked for, the number in the message that the broker keeps."""
+        self._arrived: dict[str, Kept | None] = {}
+        """Of the topics asked for, what the broker keeps."""
         self._marker = threading.Event()
         self._client = paho.Client(
             CallbackAPIVersion.VERSION2, client_id=settings.client + will.client, reconnect_on_failure=False
@@ -111,8 +122,8 @@ class Broker:
         self._client.loop_start()
         self._wait(self._answered, "plant-broker-not-connected")
 
-    def retained(self, presses: Mapping[str, str]) -> dict[Place, int]:
-        """Ask the broker for the number it really has of every list. Raises `BrokerAway`."""
+    def retained(self, presses: Mapping[str, str]) -> dict[Place, Kept]:
+        """Ask the broker what it really keeps of every list. Raises `BrokerAway`."""
         marker = self.topic("status", self._settings.client)
         topics = {self.topic(press, kind): (press, kind) for press in presses for kind in KINDS}
         self._arrived = dict.fromkeys(topics)
@@ -120,8 +131,8 @@ class Broker:
         self._client.publish(marker, b"", QOS)  # comes back after what was retained
         self._wait(self._marker, "plant-broker-not-subscribed")
         self._client.unsubscribe([marker, *topics])
-        numbers = {place: self._arrived[topic] for topic, place in topics.items()}
-        return {place: number for place, number in numbers.items() if number is not None}
+        found = {place: self._arrived[topic] for topic, place in topics.items()}
+        return {place: kept for place, kept in found.items() if kept is not None}
 
     def send(self, messages: list[tuple[str, bytes]], *, qos: int = QOS, retain: bool = True) -> None:
         """Publish in order and wait until the broker has all of it. Raises `BrokerAway`."""
@@ -169,13 +180,14 @@ class Broker:
         self._lost.set()
 
     def _on_message(self, client: Any, data: Any, message: paho.MQTTMessage) -> None:
-        """Take what the broker sends, of which nothing is sure: numbers are kept, of topics asked for alone."""
+        """Take what the broker sends, of which nothing is sure: number and sum, of topics asked for alone."""
         try:
             topic = message.topic
         except UnicodeDecodeError:  # a fault here would end the library's thread, and nobody would hear of it
             return
         if message.retain and topic in self._arrived:
-            self._arrived[topic] = _number(message.payload)
+            number = _number(message.payload)
+            self._arrived[topic] = None if number is None else Kept(number, sha256(message.payload).digest())
         elif not message.retain and topic == self.topic("status", self._settings.client):
             self._marker.set()
 
@@ -227,7 +239,7 @@ class Publisher:
 
     def _connect(self, broker: Broker) -> None:
         broker.open()
-        arrived = broker.retained(self._store.presses())
+        arrived = self._arrived(broker.retained(self._store.presses()))
         known = {place: number for place, number in self.position.items() if place not in self._guessed}
         self._following.start({**self.position, **_further(known, arrived)})
         self._guessed.clear()
@@ -235,6 +247,21 @@ class Publisher:
         online = {"state": "online", "version": installed_version(), "utc": datetime.now(UTC).isoformat()}
         broker.send([(broker.topic("status"), json_bytes(online))])
         self.problem = None
+
+    def _arrived(self, kept: Mapping[Place, Kept]) -> dict[Place, int]:
+        """Return the numbers of the messages that are this store's to the last byte.
+
+        By any other, whoever wrote it, scans would be passed over that no receiver ever got.
+        """
+        arrived = {}
+        for place, one in kept.items():
+            own = self._following.message(place, one.number) if 0 <= one.number < 2**53 else None
+            if own is not None and sha256(json_bytes(own.body)).digest() == one.sum:
+                arrived[place] = one.number
+            else:
+                said = say("plant-retained-foreign", press=place[0], kind=place[1], number=str(one.number)[:20])
+                self._store.log("warning", PROCESS, said, place[0])
+        return arrived
 
     def _send_waiting(self, broker: Broker) -> bool:
         waiting = self._following.waiting() + self._models_in_force()

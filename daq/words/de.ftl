@@ -2040,6 +2040,7 @@ plant-node-thermocouple = Thermoelement { $channel }
 plant-node-wire = Schaltdraht { $channel }, 1 heißt geschlossen
 plant-nothing-configured = { $path }: weder [mqtt] noch [opcua]; ergänzen, was das Werk liest
 plant-password-unreadable = { $path }: das Passwort des Brokers ist nicht lesbar: { $why }
+plant-retained-foreign = Presse { $press }: der Broker hält eine Nachricht { $kind } mit der Nummer { $number }, die nicht aus diesem Datenspeicher ist; gesendet wird alles nach der letzten Nachricht, die sicher angekommen ist
 plant-server-fault = OPC-UA-Server: { $why }{ $left_out ->
     [0] {""}
    *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile

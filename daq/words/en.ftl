@@ -2027,6 +2027,7 @@ plant-node-thermocouple = Thermocouple { $channel }
 plant-node-wire = Wire { $channel }, 1 for closed
 plant-nothing-configured = { $path }: neither [mqtt] nor [opcua]; add the one your plant reads
 plant-password-unreadable = { $path }: cannot read the broker's password: { $why }
+plant-retained-foreign = press { $press }: the broker keeps a { $kind } message with number { $number } that is not of this store; everything after the last message known to have arrived is sent
 plant-server-fault = OPC UA server: { $why }{ $left_out ->
     [0] {""}
    *[other] ; { NUMBER($left_out) } more like it since the last line

@@ -6,7 +6,7 @@ import random
 import socket
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import paho.mqtt.client as paho
 import pytest
@@ -58,6 +58,29 @@ def keep(port: int, topic: str, payload: bytes) -> None:
     wait_until(sent.is_published)
     client.disconnect()
     client.loop_stop()
+
+
+@pytest.mark.parametrize("number", [4, 9, 10**6], ids=["of a scan there is", "of one to be", "of none"])
+def test_a_number_that_somebody_else_let_the_broker_keep_costs_no_message(
+    store: Store,  # noqa: F811
+    broker: Broker,  # noqa: F811
+    number: int,
+) -> None:
+    recorder = Recorder(store)
+    recorder.scans(2)
+    with publishing(store, broker.port) as publisher:
+        wait_until(lambda: not publisher._guessed and publisher.problem is None)
+        recorder.scans(1)
+        wait_until(lambda: publisher.position["lab", "scan"] == 2)
+        known = publisher.position
+    recorder.scans(5)  # meanwhile the feed is down
+    keep(broker.port, "plant/lab/scan", b'{"number": %d}' % number)
+    with closing(Listener(broker.port)) as listener, publishing(store, broker.port, known) as publisher:
+        wait_until(lambda: publisher.position["lab", "scan"] == 7)
+        wait_until(lambda: listener.numbers("scan")[-5:] == [3, 4, 5, 6, 7])
+    (said,) = [one.message for one in store.journal(level="warning").items]
+    assert said.code == "plant-retained-foreign"
+    assert said.arguments["number"] == str(number)
 
 
 def test_whatever_a_broker_keeps_the_feed_goes_on_with_the_next_scan(store: Store, broker: Broker) -> None:  # noqa: F811
