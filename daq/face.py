@@ -243,10 +243,10 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     """
     run = _run(table)
     detector = PressEventDetector(_press(press))
-    seen = {name: run.columns[name].tolist() for name in detector.looks_at(tuple(run.columns))}
+    columns = {name: run.columns[name].tolist() for name in detector.looks_at(tuple(run.columns))}
     found = []
     for i, time_s in enumerate(run.time_s.tolist()):
-        found += detector.update(time_s, {name: values[i] for name, values in seen.items()})
+        found += detector.update(time_s, {name: values[i] for name, values in columns.items()})
     rows = [
         {"time_s": e.monotonic_s, "event": str(e.kind), "noticed_s": e.noticed_s, "source": str(e.source)}
         for e in found

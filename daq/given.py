@@ -18,15 +18,15 @@ from daq.words.message import choose, languages
 _OURS = ("daq", "softsensor")
 
 
-def refused(given: object, asked: str) -> InputError:
-    """Return the error for a thing of another kind than asked for; `asked` is the message's code.
+def refused(given: object, code: str) -> InputError:
+    """Return the error for a thing of another kind than asked for; `code` is the message's.
 
     >>> str(refused(5, "given-no-press"))
     'int: a press is given as the path of a press file, or as what read_press returned'
     """
     kind = type(given)
     package = kind.__module__.partition(".")[0]
-    return InputError(say(asked, found=kind.__name__ if package == "builtins" else f"{package}.{kind.__name__}"))
+    return InputError(say(code, found=kind.__name__ if package == "builtins" else f"{package}.{kind.__name__}"))
 
 
 def speak(language: str) -> None:
@@ -52,19 +52,19 @@ def speak(language: str) -> None:
     choose(language)
 
 
-def path_of(given: object, asked: str) -> Path:
+def path_of(given: object, code: str) -> Path:
     """Return a path that was given as such or as a text. Raises `InputError` for anything else."""
     if isinstance(given, str | os.PathLike):
         return Path(given)
-    raise refused(given, asked)
+    raise refused(given, code)
 
 
-def keys_of(given: object, asked: str) -> Mapping[str, Any]:
+def keys_of(given: object, code: str) -> Mapping[str, Any]:
     """Return a mapping by name; None is an empty one. Raises `InputError` for anything else."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):
-        raise refused(given, asked)
+        raise refused(given, code)
     if odd := [repr(key) for key in given if not isinstance(key, str)]:
         raise InputError(say("given-key-no-text", key=odd[0]))
     return given
@@ -87,10 +87,10 @@ def number_of(given: object) -> float:
     return float(given) if isinstance(given, Real) and not isinstance(given, bool) else math.nan
 
 
-def pair_of(given: object, asked: str) -> tuple[float, float]:
+def pair_of(given: object, code: str) -> tuple[float, float]:
     """Return two numbers, such as a range. Raises `InputError` for anything else."""
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
-        raise refused(given, asked)
+        raise refused(given, code)
     low, high = map(number_of, given)
     return low, high
 

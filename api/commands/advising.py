@@ -57,36 +57,40 @@ class AdviseOptions:
 
 
 @taking(AdviseOptions)
-def advise(asked: AdviseOptions) -> None:
+def advise(options: AdviseOptions) -> None:
     """Work out press time and platen temperature for a panel not pressed yet."""
     from softsensor.face.advising import advise as look
 
-    given = [path for path in (asked.press, asked.model, asked.resin) if path is not None and path.is_file()]
-    check_writable(asked.json, asked.svg, inputs=given)
-    ranges, header = parse_ranges(asked.ranges or ()), parse_panel(asked.panel or ())
-    limits = {"core_least_C": asked.core_least, "core_most_C": asked.core_most, "probability": asked.probability}
+    given = [path for path in (options.press, options.model, options.resin) if path is not None and path.is_file()]
+    check_writable(options.json, options.svg, inputs=given)
+    ranges, header = parse_ranges(options.ranges or ()), parse_panel(options.panel or ())
+    limits = {
+        "core_least_C": options.core_least,
+        "core_most_C": options.core_most,
+        "probability": options.probability,
+    }
     with working(say("terminal-progress-advising"), 100) as done:
         found = look(
-            asked.press,
-            asked.model,
-            asked.resin,
+            options.press,
+            options.model,
+            options.resin,
             panel=header,
             ranges=ranges,
             limits={key: value for key, value in limits.items() if value is not None},
-            goal=asked.goal,
-            price_per_kWh=asked.price,
-            waiting_s=asked.waiting,
-            open_s=asked.open_for,
+            goal=options.goal,
+            price_per_kWh=options.price,
+            waiting_s=options.waiting,
+            open_s=options.open_for,
             progress=lambda _what, share: done(round(100 * share)),
         ).advised
         outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
-        if asked.json is not None:
-            outputs[asked.json] = as_json(found.as_json())
-        if asked.svg is not None:
+        if options.json is not None:
+            outputs[options.json] = as_json(found.as_json())
+        if options.svg is not None:
             from softsensor.report.advice_figure import advice_figure
             from softsensor.report.fit_figures import svg as drawn
 
-            outputs[asked.svg] = drawn(advice_figure(found, spoken_language()))
+            outputs[options.svg] = drawn(advice_figure(found, spoken_language()))
         write_all(outputs)
     from softsensor.planning.summary import advice_messages
 

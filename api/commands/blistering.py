@@ -30,22 +30,22 @@ class BlistersOptions:
 
 
 @taking(BlistersOptions)
-def blisters(asked: BlistersOptions) -> None:
+def blisters(options: BlistersOptions) -> None:
     """Learn from marked panels how much steam they bear."""
     from daq.press.press_file import read_press
     from daq.press.resin_file import read_resin
 
-    read = (*asked.runs, asked.press, asked.resin, asked.model)
-    check_writable(asked.json, inputs=files_read(*read, store=asked.store, config=asked.config))
-    described, paper = read_press(asked.press), read_resin(asked.resin)
-    loaded = load_runs(asked.runs, described, asked.store, asked.config)
+    read = (*options.runs, options.press, options.resin, options.model)
+    check_writable(options.json, inputs=files_read(*read, store=options.store, config=options.config))
+    described, paper = read_press(options.press), read_resin(options.resin)
+    loaded = load_runs(options.runs, described, options.store, options.config)
     with working(say("terminal-progress-blisters", runs=len(loaded))):
         from softsensor.face.learning import learn_steam_limit
         from softsensor.jobs.model_files import read_model
         from softsensor.opening.blisters import limit_messages
 
-        known = read_model(asked.model) if asked.model is not None else None
+        known = read_model(options.model) if options.model is not None else None
         found = learn_steam_limit(loaded, described, known, resin=paper)
-        write_all({} if asked.json is None else {asked.json: as_json(found.as_json())})
+        write_all({} if options.json is None else {options.json: as_json(found.as_json())})
     for line in limit_messages(found):
         write_line(line)

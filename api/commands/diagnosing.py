@@ -72,20 +72,20 @@ class DiagnoseOptions:
 
 
 @taking(DiagnoseOptions)
-def diagnose(asked: DiagnoseOptions) -> None:
+def diagnose(options: DiagnoseOptions) -> None:
     """Say what the simulation gets wrong, why, what that costs, and what to measure next."""
     from daq.press.press_file import read_press
 
     check_writable(
-        asked.model,
-        asked.json,
-        asked.html,
-        asked.rehearse_file,
-        inputs=files_read(*asked.runs, asked.press, store=asked.store, config=asked.config),
+        options.model,
+        options.json,
+        options.html,
+        options.rehearse_file,
+        inputs=files_read(*options.runs, options.press, store=options.store, config=options.config),
     )
-    _check_rehearsal(asked)
-    described = read_press(asked.press)
-    loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
+    _check_rehearsal(options)
+    described = read_press(options.press)
+    loaded = shortened(load_runs(options.runs, described, options.store, options.config), described, options.until)
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose as look
 
@@ -93,56 +93,56 @@ def diagnose(asked: DiagnoseOptions) -> None:
             described,
             loaded,
             progress=lambda _what, share: done(round(100 * share)),
-            law=True if asked.law else None,
+            law=True if options.law else None,
         )
-    rehearsal = _rehearsed(found, _rehearsal_plan(found, asked), asked.dask) if asked.rehearse else None
+    rehearsal = _rehearsed(found, _rehearsal_plan(found, options), options.dask) if options.rehearse else None
     with working(say("terminal-progress-writing")):
-        write_all(_contents(found, rehearsal, asked))
+        write_all(_contents(found, rehearsal, options))
         ahead = list(_ahead(described, found))
-    for line in (*_lines(found, law=asked.law), *ahead):
+    for line in (*_lines(found, law=options.law), *ahead):
         write_line(line)
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
         write_line(line)
 
 
-def _contents(found: Diagnosis, rehearsal: Rehearsal | None, asked: DiagnoseOptions) -> Outputs:
+def _contents(found: Diagnosis, rehearsal: Rehearsal | None, options: DiagnoseOptions) -> Outputs:
     """Return what goes into each file that was asked for."""
     outputs: Outputs = {}
-    if asked.json is not None:
+    if options.json is not None:
         rehearsed = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
-        outputs[asked.json] = as_json(found.as_json() | rehearsed)
-    if asked.model is not None:
+        outputs[options.json] = as_json(found.as_json() | rehearsed)
+    if options.model is not None:
         from softsensor.heat.model_file import model_text
         from softsensor.jobs.campaign import diagnosed_model
 
-        outputs[asked.model] = model_text(diagnosed_model(found))
-    if asked.html is not None:
+        outputs[options.model] = model_text(diagnosed_model(found))
+    if options.html is not None:
         from softsensor.report.diagnosis_report import diagnosis_report
 
-        outputs[asked.html] = diagnosis_report(found, spoken_language(), rehearsal)
+        outputs[options.html] = diagnosis_report(found, spoken_language(), rehearsal)
     return outputs
 
 
-def _check_rehearsal(asked: DiagnoseOptions) -> None:
+def _check_rehearsal(options: DiagnoseOptions) -> None:
     """Refuse options without a rehearsal, and effects that do not exist, before any work. Raises `InputError`."""
-    options = (asked.rehearse_campaigns, asked.rehearse_effect, asked.rehearse_file, asked.dask)
-    if any(options) and not asked.rehearse:
+    alone = (options.rehearse_campaigns, options.rehearse_effect, options.rehearse_file, options.dask)
+    if any(alone) and not options.rehearse:
         raise InputError(say("rehearsal-options-alone"))
-    if asked.rehearse_effect:
+    if options.rehearse_effect:
         from softsensor.diagnosis.rehearsal import sized
 
-        for one in asked.rehearse_effect:
+        for one in options.rehearse_effect:
             sized(one)
 
 
-def _rehearsal_plan(found: Diagnosis, asked: DiagnoseOptions) -> RehearsalPlan:
+def _rehearsal_plan(found: Diagnosis, options: DiagnoseOptions) -> RehearsalPlan:
     """Lay out what is to be rehearsed. Raises `InputError`."""
     from softsensor.diagnosis.rehearsal import campaign_of, hidden_of
     from softsensor.jobs.rehearsals import CAMPAIGNS, plan_rehearsal
 
     campaign = campaign_of(found)
-    hidden = hidden_of(campaign, asked.rehearse_effect or [])
-    return plan_rehearsal(campaign, hidden, asked.rehearse_campaigns or CAMPAIGNS, asked.rehearse_file)
+    hidden = hidden_of(campaign, options.rehearse_effect or [])
+    return plan_rehearsal(campaign, hidden, options.rehearse_campaigns or CAMPAIGNS, options.rehearse_file)
 
 
 def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:

@@ -119,38 +119,40 @@ class ExportOptions:
 
 
 @taking(ExportOptions)
-def export_runs(asked: ExportOptions) -> None:
+def export_runs(options: ExportOptions) -> None:
     """Write runs of the store as run files, or list what there is."""
     from daq.files.manifest import NAME as MANIFEST
     from daq.files.manifest import update_manifest
 
     chosen = {
-        "press": asked.press,
-        "material": asked.material,
-        "since": _utc(asked.since),
-        "until": _utc(asked.until),
+        "press": options.press,
+        "material": options.material,
+        "since": _utc(options.since),
+        "until": _utc(options.until),
     }
-    if asked.runs and any(chosen.values()):
+    if options.runs and any(chosen.values()):
         raise InputError(say("terminal-list-alone"))
-    with opened_store(asked.store, asked.config) as opened:
-        if not asked.runs:
+    with opened_store(options.store, options.config) as opened:
+        if not options.runs:
             _list_runs(opened, chosen)
             return
-        if asked.out is None:
+        if options.out is None:
             raise InputError(say("terminal-export-needs-out"))
-        for run in asked.runs:
+        for run in options.runs:
             opened.run_record(run)
-        targets = _targets(asked.runs, asked.out, asked.kind)
-        title = say("terminal-progress-exporting", runs=len(asked.runs))
-        check_writable(*targets, inputs=files_read(opened.database.path, store=asked.store, config=asked.config))
+        targets = _targets(options.runs, options.out, options.kind)
+        title = say("terminal-progress-exporting", runs=len(options.runs))
+        check_writable(
+            *targets, inputs=files_read(opened.database.path, store=options.store, config=options.config)
+        )
         contents: dict[Path, str | Callable[[Path], None]] = {}
         with working(title, len(targets)) as done:
             for number, (path, run) in enumerate(targets.items(), 1):
                 contents[path] = _content(opened, run, path)
                 done(number)
             write_all(contents)
-        folder = asked.out if asked.out.is_dir() else asked.out.parent
-        if asked.out.is_dir() or (folder / MANIFEST).is_file():
+        folder = options.out if options.out.is_dir() else options.out.parent
+        if options.out.is_dir() or (folder / MANIFEST).is_file():
             update_manifest(folder, targets)
 
 

@@ -100,72 +100,72 @@ class FitOptions:
 
 
 @taking(FitOptions)
-def fit(asked: FitOptions) -> None:
+def fit(options: FitOptions) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
     from daq.press.press_file import read_press
 
     check_writable(
-        asked.model,
-        asked.json,
-        asked.html,
-        inputs=files_read(*(asked.runs or ()), asked.press, store=asked.store, config=asked.config),
+        options.model,
+        options.json,
+        options.html,
+        inputs=files_read(*(options.runs or ()), options.press, store=options.store, config=options.config),
     )
-    check_folder(asked.svg, asked.model, asked.json, asked.html)
-    if asked.reproduce_paper:
-        refuse_with_reproduce(asked)
-        _reproduce(asked)
+    check_folder(options.svg, options.model, options.json, options.html)
+    if options.reproduce_paper:
+        refuse_with_reproduce(options)
+        _reproduce(options)
         return
-    if not asked.runs or asked.press is None:
+    if not options.runs or options.press is None:
         raise InputError(say("terminal-fit-needs-runs"))
-    described = read_press(asked.press)
-    chosen = check_method(asked.method, averages=asked.averages)
-    settings = parse_program(asked.program or [])
-    check_shared(described, asked.shared or [])
-    loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
+    described = read_press(options.press)
+    chosen = check_method(options.method, averages=options.averages)
+    settings = parse_program(options.program or [])
+    check_shared(described, options.shared or [])
+    loaded = shortened(load_runs(options.runs, described, options.store, options.config), described, options.until)
     with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
         from softsensor.jobs.campaign import fit_campaign
 
         found = fit_campaign(
             described,
             loaded,
-            shared=asked.shared or (),
-            profiles=asked.json is not None or asked.html is not None,
+            shared=options.shared or (),
+            profiles=options.json is not None or options.html is not None,
             progress=count(done),
             method=chosen,
         )
         program = predict_program(found, settings)
-        write_all(contents(found, program, asked))
+        write_all(contents(found, program, options))
     for line in _lines(found):
         write_line(line)
     for row in program.lines if program is not None else ():
         write_line(row)
 
 
-def contents(found: CampaignFit, program: Program | None, asked: FitOptions) -> Outputs:
+def contents(found: CampaignFit, program: Program | None, options: FitOptions) -> Outputs:
     """Return what goes into each file that was asked for."""
     outputs: Outputs = {}
-    if asked.json is not None:
-        outputs[asked.json] = as_json(found.as_json() | ({"program": program.as_json()} if program else {}))
-    if asked.model is not None:
+    if options.json is not None:
+        outputs[options.json] = as_json(found.as_json() | ({"program": program.as_json()} if program else {}))
+    if options.model is not None:
         from softsensor.diagnosis.missing_causes import with_missing_causes
         from softsensor.heat.model_file import model_text
 
-        outputs[asked.model] = model_text(with_missing_causes(found.model_file(), found.runs))
-    if asked.html is not None:
+        outputs[options.model] = model_text(with_missing_causes(found.model_file(), found.runs))
+    if options.html is not None:
         from softsensor.report.fit_report import fit_report
 
-        outputs[asked.html] = fit_report(found, program, spoken_language())
-    if asked.svg is not None:
+        outputs[options.html] = fit_report(found, program, spoken_language())
+    if options.svg is not None:
         from softsensor.report.fit_figures import campaign_figures
 
-        outputs |= into(asked.svg, campaign_figures(found, spoken_language()))
+        outputs |= into(options.svg, campaign_figures(found, spoken_language()))
     return outputs
 
 
-def refuse_with_reproduce(asked: FitOptions) -> None:
+def refuse_with_reproduce(options: FitOptions) -> None:
     """Raise `InputError` for arguments that the reproduction of the paper would ignore."""
-    ignored = (f for f in fields(asked) if f.name not in ("json", "html", "svg", "reproduce_paper"))
-    surplus = [f.name for f in ignored if (value := getattr(asked, f.name)) and value != f.default]
+    ignored = (f for f in fields(options) if f.name not in ("json", "html", "svg", "reproduce_paper"))
+    surplus = [f.name for f in ignored if (value := getattr(options, f.name)) and value != f.default]
     if surplus:
         given = tuple("RUN" if name == "runs" else f"--{name}" for name in surplus)
         raise InputError(say("terminal-reproduce-alone", surplus=given))
@@ -246,24 +246,24 @@ def check_method(method: str, *, averages: bool) -> str:
     return f"{method}:averages" if averages else method
 
 
-def _reproduce(asked: FitOptions) -> None:
+def _reproduce(options: FitOptions) -> None:
     """Compare solvers and slopes on virtual measurements; print the table, and keep it where asked."""
     from softsensor.fitting.paper.virtual_runs import MEASUREMENTS, reproduce_paper
 
     with working(say("terminal-progress-reproducing", runs=MEASUREMENTS), MEASUREMENTS) as done:
         found = reproduce_paper(clock=time.perf_counter, progress=done)
         outputs: Outputs = {}
-        if asked.json is not None:
-            outputs[asked.json] = as_json(found.as_json())
-        if asked.html is not None:
+        if options.json is not None:
+            outputs[options.json] = as_json(found.as_json())
+        if options.html is not None:
             from softsensor.report.fit_report import paper_report
 
-            outputs[asked.html] = paper_report(found, spoken_language())
-        if asked.svg is not None:
+            outputs[options.html] = paper_report(found, spoken_language())
+        if options.svg is not None:
             from softsensor.report.fit_figures import roughness_figure
             from softsensor.report.fit_figures import svg as picture
 
-            outputs |= into(asked.svg, {"cost": picture(roughness_figure(found, spoken_language()))})
+            outputs |= into(options.svg, {"cost": picture(roughness_figure(found, spoken_language()))})
         write_all(outputs)
     heads = [in_words(say(f"report-paper-{column}")) for column in found.rows[0]]
     for line in aligned([heads, *([in_words(cell) for cell in row.values()] for row in found.rows)]):

@@ -72,6 +72,6 @@ def _required(package: Distribution, extras: tuple[str, ...]) -> list[tuple[str,
         wanted = re.search(r"extra\s*==\s*['\"]([^'\"]+)", marker)
         parts = re.match(r"\s*([\w.-]+)\s*(?:\[([^\]]*)\])?", requirement)
         if parts and (wanted is None or wanted.group(1) in extras):
-            asked = tuple(filter(None, re.split(r"[\s,]+", parts.group(2) or "")))
-            found.append((parts.group(1).lower().replace("_", "-"), asked))
+            extras = tuple(filter(None, re.split(r"[\s,]+", parts.group(2) or "")))
+            found.append((parts.group(1).lower().replace("_", "-"), extras))
     return found

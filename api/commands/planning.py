@@ -35,14 +35,16 @@ class PlanOptions:
 
 
 @taking(PlanOptions)
-def plan(asked: PlanOptions) -> None:
+def plan(options: PlanOptions) -> None:
     """Say which pressings are worth most next, and what each would settle."""
     from daq.press.press_file import read_press
 
-    check_writable(asked.json, inputs=files_read(*asked.runs, asked.press, store=asked.store, config=asked.config))
-    ranges = parse_ranges(asked.ranges or ())
-    described = read_press(asked.press)
-    loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
+    check_writable(
+        options.json, inputs=files_read(*options.runs, options.press, store=options.store, config=options.config)
+    )
+    ranges = parse_ranges(options.ranges or ())
+    described = read_press(options.press)
+    loaded = shortened(load_runs(options.runs, described, options.store, options.config), described, options.until)
     with working(say("terminal-progress-planning", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose
         from softsensor.planning.plan import plan as look_ahead
@@ -54,7 +56,7 @@ def plan(asked: PlanOptions) -> None:
         plan = look_ahead(
             described, found, ranges, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
         )
-        write_all({} if asked.json is None else {asked.json: as_json(plan.as_json())})
+        write_all({} if options.json is None else {options.json: as_json(plan.as_json())})
     from softsensor.planning.summary import plan_messages
 
     for line in plan_messages(plan):

@@ -43,23 +43,28 @@ class ProbeOptions:
 
 
 @taking(ProbeOptions)
-def probe(asked: ProbeOptions) -> None:
+def probe(options: ProbeOptions) -> None:
     """Find out what logger is on a wire, with the sensors at room temperature.
 
     No device at hand? "python -m daq.simulated.devices_serve adam-4118" puts a simulated one on a wire to try.
     """
-    if (asked.port is None) == (asked.host is None):
+    if (options.port is None) == (options.host is None):
         raise InputError(say("probe-needs-place"))
-    given = {"port": asked.port, "host": asked.host, "tcp_port": asked.tcp_port, "transport": asked.transport}
+    given = {
+        "port": options.port,
+        "host": options.host,
+        "tcp_port": options.tcp_port,
+        "transport": options.transport,
+    }
     wire = {key: value for key, value in given.items() if value is not None}
     from daq.drivers import probe as probing
     from daq.drivers.protocol import ReadFailure
 
-    if asked.port is not None:
-        wire["baud"] = asked.baud or probing.BAUD
-    wait_s = asked.timeout or probing.TIMEOUT_S
+    if options.port is not None:
+        wire["baud"] = options.baud or probing.BAUD
+    wait_s = options.timeout or probing.TIMEOUT_S
     try:
-        report = probing.probe(wire, stations=_stations(asked.stations), timeout_s=wait_s, progress=_show)
+        report = probing.probe(wire, stations=_stations(options.stations), timeout_s=wait_s, progress=_show)
     except ReadFailure as error:
         raise WorkFailed(spoken(error)) from error
     for line in _lines(report):

@@ -42,20 +42,25 @@ class SimulateOptions:
 
 
 @taking(SimulateOptions)
-def simulate(asked: SimulateOptions) -> None:
+def simulate(options: SimulateOptions) -> None:
     """Simulate a run, open loop, from its platen temperatures."""
     from daq.press.press_file import press_for_run, read_press
 
-    if asked.coefficients is not None and asked.model is not None:
+    if options.coefficients is not None and options.model is not None:
         raise InputError(say("terminal-coefficients-or-model"))
     check_writable(
-        asked.out,
+        options.out,
         inputs=files_read(
-            asked.run, asked.press, asked.coefficients, asked.model, store=asked.store, config=asked.config
+            options.run,
+            options.press,
+            options.coefficients,
+            options.model,
+            store=options.store,
+            config=options.config,
         ),
     )
-    described = read_press(asked.press)
-    (loaded,) = load_runs([asked.run], described, asked.store, asked.config)
+    described = read_press(options.press)
+    (loaded,) = load_runs([options.run], described, options.store, options.config)
     own = press_for_run(described, loaded)
     with working(say("terminal-progress-simulating", run=loaded.name)):
         from softsensor.fitting.simulated_run import simulate_run
@@ -63,17 +68,17 @@ def simulate(asked: SimulateOptions) -> None:
         from softsensor.heat.run_checks import load_remarks
         from softsensor.jobs.model_files import read_model
 
-        if asked.model is not None:
-            content = read_model(asked.model)
-            _check_model((described, own), content, asked.model)
+        if options.model is not None:
+            content = read_model(options.model)
+            _check_model((described, own), content, options.model)
             thermal, values = content.model(described), ThermalModel(own).guesses | content.values
         else:
-            given = _read_coefficients(asked.coefficients, (described, own)) if asked.coefficients else {}
+            given = _read_coefficients(options.coefficients, (described, own)) if options.coefficients else {}
             thermal, values = ThermalModel(described), ThermalModel(own).guesses | given
         result = simulate_run(loaded, described, thermal, values)
     columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
     columns |= dict(result.places) | {"core_C": result.core}
-    write_all({asked.out: table_text(columns)})
+    write_all({options.out: table_text(columns)})
     for remark in load_remarks(own, loaded):
         warn(remark)
 
@@ -96,20 +101,20 @@ class PredictOptions:
 
 
 @taking(PredictOptions)
-def predict(asked: PredictOptions) -> None:
+def predict(options: PredictOptions) -> None:
     """Replay a run scan by scan through the live sensor, causally."""
     from daq.press.press_file import press_for_run, read_press
     from daq.press.resin_file import read_resin
 
     check_writable(
-        asked.out,
+        options.out,
         inputs=files_read(
-            asked.run, asked.press, asked.model, asked.resin, store=asked.store, config=asked.config
+            options.run, options.press, options.model, options.resin, store=options.store, config=options.config
         ),
     )
-    described = read_press(asked.press)
-    paper = read_resin(asked.resin) if asked.resin is not None else None
-    (loaded,) = load_runs([asked.run], described, asked.store, asked.config)
+    described = read_press(options.press)
+    paper = read_resin(options.resin) if options.resin is not None else None
+    (loaded,) = load_runs([options.run], described, options.store, options.config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
         from softsensor.jobs.first_start import WorkKind, compile_for
         from softsensor.jobs.model_files import read_model
@@ -117,12 +122,12 @@ def predict(asked: PredictOptions) -> None:
         from softsensor.live.replay import replay
 
         compile_for(WorkKind.LIVE)
-        known = read_model(asked.model) if asked.model is not None else None
+        known = read_model(options.model) if options.model is not None else None
         if known is not None:
-            _check_model((described, press_for_run(described, loaded)), known, asked.model)
-        hidden = loaded.named(filter(None, (part.strip() for part in asked.without.split(","))))
+            _check_model((described, press_for_run(described, loaded)), known, options.model)
+        hidden = loaded.named(filter(None, (part.strip() for part in options.without.split(","))))
         columns = replay(described, loaded, known, hidden, done, paper).columns()
-    write_all({asked.out: table_text(columns)})
+    write_all({options.out: table_text(columns)})
     if (remark := panel_remark(loaded.header, known)) is not None:
         warn(remark)
     if paper is not None:

@@ -88,8 +88,8 @@ def shortened(runs: Sequence[Run], press: Press, until: Sequence[str] | None) ->
         raise InputError(say("terminal-until-no-run", until=wrong.text, run=wrong.run, known=tuple(sorted(names))))
     found, whole = [], dict[str, list[str]]()
     for run in runs:
-        asked = [end for end in ends if end.run == run.name] or [end for end in ends if not end.run]
-        moments = {end.moment(run, press): end for end in asked}
+        own = [end for end in ends if end.run == run.name] or [end for end in ends if not end.run]
+        moments = {end.moment(run, press): end for end in own}
         last_s = min(moments, default=math.inf)
         if moments and last_s == math.inf:
             whole.setdefault(moments[last_s].text, []).append(run.name)
@@ -99,11 +99,11 @@ def shortened(runs: Sequence[Run], press: Press, until: Sequence[str] | None) ->
     return found
 
 
-def _rows_until(run: Run, last_s: float, asked: str) -> Run:
+def _rows_until(run: Run, last_s: float, until: str) -> Run:
     import numpy as np
 
     rows = int(np.searchsorted(run.time_s, last_s, side="right"))
     if rows < 2:
         kept = {"rows": rows, "all": len(run.time_s), "first": float(run.time_s[0])}
-        raise InputError(say("terminal-until-leaves-too-little", run=run.name, until=asked, **kept))
+        raise InputError(say("terminal-until-leaves-too-little", run=run.name, until=until, **kept))
     return run.at_rows(slice(rows))

@@ -136,11 +136,11 @@ class Children:
 
     def stop(self) -> None:
         """End the services at once, then the loggers they read; by force where asking does not help."""
-        asked = [child for child in self.running.values() if child.stdin is None]
-        for child in asked:
+        services = [child for child in self.running.values() if child.stdin is None]
+        for child in services:
             if child.poll() is None:
                 child.terminate()
-        _wait_or_kill(asked)
+        _wait_or_kill(services)
         fed = [child for child in self.running.values() if child.stdin is not None]
         for child in fed:
             if child.stdin is not None:

@@ -41,12 +41,12 @@ def takes_gzip(accept_encoding: str) -> bool:
 
     Examples
     --------
-    >>> [takes_gzip(asked) for asked in ("gzip, br", "br;q=1, gzip;q=0", "*", "gzip; q=0.5", "")]
+    >>> [takes_gzip(header) for header in ("gzip, br", "br;q=1, gzip;q=0", "*", "gzip; q=0.5", "")]
     [True, False, True, True, False]
     """
     weights = {}
     for part in accept_encoding.lower().split(","):
         name, _, rest = part.partition(";")
         weights[name.strip()] = rest.replace(" ", "").removeprefix("q=") or "1"
-    asked = weights.get("gzip", weights.get("*", "0"))
-    return asked.strip("0.") != ""
+    weight = weights.get("gzip", weights.get("*", "0"))
+    return weight.strip("0.") != ""

@@ -82,8 +82,8 @@ def _http(request: Request, error: Exception) -> JSONResponse:
 def methods_of(request: Request) -> list[str]:
     """Return what a request's path has (RFC 9110, 15.5.6); the framework names one route's methods only."""
     routes = [route for route in request.app.routes if not isinstance(route, Mount)]
-    asked = {method: {**request.scope, "method": method} for method in ("GET", "POST", "PUT", "PATCH", "DELETE")}
-    found = {m for m, scope in asked.items() if any(r.matches(scope)[0] is Match.FULL for r in routes)}
+    scopes = {method: {**request.scope, "method": method} for method in ("GET", "POST", "PUT", "PATCH", "DELETE")}
+    found = {m for m, scope in scopes.items() if any(r.matches(scope)[0] is Match.FULL for r in routes)}
     found = found or {"GET"}  # the page's files
     return sorted(found | ({"HEAD"} if "GET" in found and request.url.path != ENDLESS else set()))
 

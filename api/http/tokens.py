@@ -54,7 +54,7 @@ class TokenFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._seen: tuple[int, int] | None = None
+        self._read: tuple[int, int] | None = None
         self._tokens: tuple[Token, ...] = ()
         self._lock = threading.Lock()
 
@@ -65,11 +65,11 @@ class TokenFile:
                 found = self.path.stat()
                 if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
                     raise InputError(say("api-tokens-no-file"))  # a pipe would hold up the server for good
-                if self._seen != (found.st_mtime_ns, found.st_size):
+                if self._read != (found.st_mtime_ns, found.st_size):
                     self._tokens = tuple(_token_of(entry) for entry in json.loads(self.path.read_text("utf-8")))
-                    self._seen = (found.st_mtime_ns, found.st_size)
+                    self._read = (found.st_mtime_ns, found.st_size)
             except FileNotFoundError:
-                self._tokens, self._seen = (), None
+                self._tokens, self._read = (), None
             except (OSError, ValueError, TypeError, RecursionError) as error:
                 raise InputError(say("api-tokens-unreadable", path=str(self.path), why=_why(error))) from error
             return self._tokens
@@ -108,7 +108,7 @@ class TokenFile:
         draft.write_text(json.dumps([asdict(token) for token in tokens], indent=2) + "\n", encoding="utf-8")
         draft.replace(self.path)
         with self._lock:
-            self._seen = None
+            self._read = None
 
 
 @dataclass

@@ -42,7 +42,7 @@ class Outgoing:
 
 @dataclass
 class Following:
-    """Reads on from a position; `seen` moves it once a message has arrived."""
+    """Reads on from a position; `arrived` moves it."""
 
     store: Store
     position: dict[Place, int] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class Following:
         read = {"scan": self._scans, "estimate": self._estimates, "event": self._events}
         return read[place[1]](place[0], number)
 
-    def seen(self, message: Outgoing) -> None:
+    def arrived(self, message: Outgoing) -> None:
         """Note that a message has arrived."""
         self.position[message.press, message.kind] = message.number
 

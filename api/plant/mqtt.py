@@ -270,7 +270,7 @@ class Publisher:
         broker.send([(broker.topic(m.press, m.kind), json_bytes(m.body)) for m in waiting])
         for message in waiting:
             if message.kind in KINDS:
-                self._following.seen(message)
+                self._following.arrived(message)
             else:
                 self._models[message.press] = str(message.body["version"])
         self.sent += len(waiting)

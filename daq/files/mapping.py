@@ -194,8 +194,8 @@ def _contradictions(mapped: Mapped) -> Iterator[Message]:
     yield from (say("mapping-target-twice", column=t) for t in targets if targets.count(t) > 1)
     terms = [(computed.to, name) for computed in mapped.computed for name in computed.terms]
     yield from (say("mapping-term-unknown", to=to, column=name) for to, name in terms if name not in sources)
-    asked = [(key, source.column) for key, source in mapped.header_from.items()]
-    yield from (say("mapping-header-source", key=k, column=name) for k, name in asked if name not in targets)
+    taken = [(key, source.column) for key, source in mapped.header_from.items()]
+    yield from (say("mapping-header-source", key=k, column=name) for k, name in taken if name not in targets)
     known = {variant.of for variant in mapped.variant}
     yield from (say("mapping-variant-of-nothing", of=of) for of in mapped.required_variants if of not in known)
 

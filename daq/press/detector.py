@@ -143,7 +143,8 @@ class PressEventDetector:
         """Of each channel: when it was read last, and its value. [s]"""
         self._step_s = math.inf
         """Between the scans before the newest. [s]"""
-        self._seen = -math.inf
+        self._read_s = -math.inf
+        """When a sensor of the panel was read last."""
         self._since = -math.inf
         self._first = math.nan
         self._by_bottom, self._face_high = True, -math.inf
@@ -162,7 +163,7 @@ class PressEventDetector:
     @property
     def state(self) -> PressState | None:
         """What the press is doing; None where nothing usable has been seen for 3 s."""
-        if self._switch is None and (not self._rows or self._rows[-1].time - self._seen > BLIND_S):
+        if self._switch is None and (not self._rows or self._rows[-1].time - self._read_s > BLIND_S):
             return None
         return self._state
 
@@ -218,7 +219,7 @@ class PressEventDetector:
         plate = middle(platens) if platens else (self._rows[-1].plate if self._rows else math.nan)
         levels = self._top.update(top, elapsed), self._bottom.update(bottom, elapsed)
         if any(self._last[name][0] == time_s for name in (*top, *bottom)):
-            self._seen = time_s
+            self._read_s = time_s
         if self._first != self._first:
             self._first = time_s
         self._rows.append(_FaceRow(time_s, *levels, plate, top, bottom))
@@ -262,7 +263,7 @@ class PressEventDetector:
     def _unseen_change(self, time_s: float) -> bool:
         """Whether the pressed panel may have gone for another one while no sensor showed it."""
         opened = self._state is PressState.OPEN and self._was_closed
-        return opened and time_s - self._since > CHANGE_S and time_s - self._seen > BLIND_S
+        return opened and time_s - self._since > CHANGE_S and time_s - self._read_s > BLIND_S
 
     def _nothing_hot(self, row: _FaceRow) -> bool:
         """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""

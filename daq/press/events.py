@@ -180,9 +180,9 @@ def _refined(
 
 
 def _switch_moments(
-    times: Array, switch: Array, seen: Mapping[PressEventKind, float]
+    times: Array, switch: Array, moments: Mapping[PressEventKind, float]
 ) -> dict[PressEventKind, float]:
-    """Return closing and opening by the contract's rule; as `seen` where the switch was silent meanwhile."""
+    """Return closing and opening by the contract's rule; as `moments` where the switch was silent meanwhile."""
     rows = np.flatnonzero(np.isfinite(switch))
     closed = switch[rows] > 0.5
     first = int(np.argmax(closed)) if closed.any() else len(rows)
@@ -193,7 +193,7 @@ def _switch_moments(
         row = int(rows[place]) if place < len(rows) else len(times)
         begin = float(times[before]) if before >= 0 else -math.inf
         end = float(times[row]) if row < len(times) else math.inf
-        by_switch, by_faces = (end if end < math.inf else math.nan), seen.get(kind, math.nan)
+        by_switch, by_faces = (end if end < math.inf else math.nan), moments.get(kind, math.nan)
         silent = row - before > 1 and end - begin > SILENT_S
         return by_faces if silent and begin < by_faces <= end else by_switch
 

@@ -328,15 +328,15 @@ def place_moment(
     reach = INSERTION_S if kind is PressEventKind.INSERTED else reach
     near = (faces.times > noticed - reach) & (faces.times >= after)
     times, top, bottom = faces.times[near], faces.top[near], faces.bottom[near]
-    seen = [face for face in (top, bottom) if np.isfinite(face).sum() >= 2]
+    readable = [face for face in (top, bottom) if np.isfinite(face).sum() >= 2]
     plate = faces.plate
-    if not seen or len(times) < 2:
+    if not readable or len(times) < 2:
         return None
     if kind is PressEventKind.CLOSED:
-        hot = plate - _NEAR_PLATE_K if plate == plate else float(np.nanmax(seen[0])) + _BEYOND_FACE_K
-        return closing_moment(times, seen[0], hot, noticed, lag)
+        hot = plate - _NEAR_PLATE_K if plate == plate else float(np.nanmax(readable[0])) + _BEYOND_FACE_K
+        return closing_moment(times, readable[0], hot, noticed, lag)
     if kind is PressEventKind.OPENED:
-        return opening_moment(times, seen, noticed, plate, lag)
+        return opening_moment(times, readable, noticed, plate, lag)
     lower = bottom if np.isfinite(bottom).sum() >= 2 else top
     if kind is PressEventKind.INSERTED:
         rise = _last_rise(times, lower, noticed)

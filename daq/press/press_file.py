@@ -408,15 +408,15 @@ class Press(Table):
         if doubled := {n for n in names if names.count(n) > 1}:
             raise ValueError(say("press-layer-twice", names=tuple(sorted(doubled))))
         neighbours = list(itertools.pairwise(self.chain))
-        seen: set[tuple[str, str]] = set()
+        pairs: set[tuple[str, str]] = set()
         for i, contact in enumerate(self.contact):
             if contact.between not in neighbours:
                 possible = tuple(str(list(n)) for n in neighbours)
                 found = say("press-contact-no-neighbours", possible=possible)
                 raise ValueError(_of(f"contact.{i}.between", list(contact.between), found))
-            if contact.between in seen:
+            if contact.between in pairs:
                 raise ValueError(_of(f"contact.{i}.between", list(contact.between), say("press-contact-twice")))
-            seen.add(contact.between)
+            pairs.add(contact.between)
             self._check_parting(i, contact)
         if unused := sorted(set(self.coefficients) - set(self.coefficient_names)):
             raise ValueError(

@@ -293,13 +293,13 @@ class _ConfigWatch:
 
     def __init__(self, config: Config, journal: Journal) -> None:
         self._config, self._journal = config, journal
-        self._seen = _changed(config)
+        self._stamps = _changed(config)
 
     def look(self, lines: Sequence[PressLine]) -> None:
         """Hand a changed configuration to the presses; a wrong one is reported once and left."""
-        if self._config.path is None or (now := _changed(self._config)) == self._seen:
+        if self._config.path is None or (now := _changed(self._config)) == self._stamps:
             return
-        self._seen = now
+        self._stamps = now
         try:
             fresh = load_config(self._config.path)
             self._refuse_what_needs_a_start(fresh)
@@ -309,8 +309,8 @@ class _ConfigWatch:
             self._journal("warning", say("configuration-refused", why=spoken(error)))
             return
         self._config = fresh
-        seen = _changed(fresh)  # of a file known before, as it was when this configuration was read
-        self._seen = seen | {file: at for file, at in now.items() if file in seen}
+        stamps = _changed(fresh)  # of a file known before, as it was when this configuration was read
+        self._stamps = stamps | {file: at for file, at in now.items() if file in stamps}
         self._journal("info", say("configuration-changed"))
 
     def _refuse_what_needs_a_start(self, fresh: Config) -> None:

@@ -71,7 +71,7 @@ class RunNames:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _RecentScan:
     number: int
     monotonic_s: float
     scan: Scan
@@ -92,7 +92,7 @@ class RunKeeper:
         self.open_run: str | None = None
         self._names = names
         self._places = tuple(panel_places)
-        self._recent: deque[_Seen] = deque()
+        self._recent: deque[_RecentScan] = deque()
         self._zero = 0.0
         self._first = 0
         self._last = -1
@@ -177,7 +177,7 @@ class RunKeeper:
     def _remember(self, scan: Scan) -> None:
         usable = sorted(scan.values[i] for i in self._places if scan.qualities[i].usable)
         level, warmest = (median(usable), usable[-2:][0]) if usable else (math.nan, math.nan)
-        self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level, warmest))
+        self._recent.append(_RecentScan(scan.number, scan.monotonic_s, scan, level, warmest))
         keep = max(self.rules.pre_trigger_s, UNSEEN_S) + self.rules.post_removal_s + _SPARE_S
         while self._recent[0].monotonic_s < scan.monotonic_s - keep:
             self._recent.popleft()

@@ -82,12 +82,12 @@ class Converter:
         now = self._clock()
         due = [(self._last_conversion(k, now), k) for k in range(self.inputs)]
         truth: Sequence[float] = ()
-        asked = math.nan
+        read_at = math.nan
         for moment, k in sorted(due):
             if moment == self._converted_s[k]:
                 continue
-            if moment != asked:
-                truth, asked = self._temperatures(moment), moment
+            if moment != read_at:
+                truth, read_at = self._temperatures(moment), moment
             self._held[k] = float(truth[k]) + self._cold_junction_error(moment)
             self._converted_s[k] = moment
 

@@ -137,7 +137,7 @@ class ModbusModule:
         self.think_s = think_s
         self._writable = writable
         self._written: dict[int, int] = {}
-        self._asked_reset = False
+        self._reset_reported = False
 
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one request off the front of the buffer."""
@@ -147,7 +147,7 @@ class ModbusModule:
         """Return the reply, or None for silence: not ours, damaged, or off, which forgets all settings."""
         if self.switches.silent:
             self._written.clear()
-            self._asked_reset = False
+            self._reset_reported = False
             return None
         if self._tcp:
             if request[6] != self._station:
@@ -167,8 +167,8 @@ class ModbusModule:
         if function in (1, 2, 3, 4):
             count = struct.unpack(">H", pdu[3:5])[0]
             if function in (1, 2) and address <= RESET_FLAG < address + count and RESET_FLAG in image.bits:
-                image.bits[RESET_FLAG] = not self._asked_reset
-                self._asked_reset = True
+                image.bits[RESET_FLAG] = not self._reset_reported
+                self._reset_reported = True
             return _read(image, function, address, count)
         if function in (6, 16):
             return self._write(function, address, pdu)

@@ -80,14 +80,14 @@ def _turn(connection: Connection) -> int:
 
 def _ways(connection: Connection, own: Sequence[str], at: float) -> list[str]:
     """Return the ways of every server there lately, `own` among them; by a new one goes what stands already."""
-    seen = {row.way: row.seen_unix_s for row in connection.execute(select(ALARM_WAY)).all()}
+    last_seen = {row.way: row.seen_unix_s for row in connection.execute(select(ALARM_WAY)).all()}
     for way in own:
-        silent_s = abs(at - seen.get(way, -math.inf))  # a clock set back is as good as a long silence
+        silent_s = abs(at - last_seen.get(way, -math.inf))  # a clock set back is as good as a long silence
         if silent_s < NOTED_S:
             continue
         put(connection, ALARM_WAY, [{"way": way, "seen_unix_s": at}])
         if silent_s > IN_USE_S:
-            gone_s = seen.get(way, math.inf)
+            gone_s = last_seen.get(way, math.inf)
             over = (ALARM.c.ended_unix_s.is_not(None), ALARM.c.raised_unix_s > gone_s)
             passed = select(ALARM.c.alarm_id).where(*over)
             stale = (ALARM_DELIVERY.c.way == way, ALARM_DELIVERY.c.alarm_id.in_(passed))
@@ -96,8 +96,8 @@ def _ways(connection: Connection, own: Sequence[str], at: float) -> list[str]:
             standing = select(ALARM.c.alarm_id).where(ALARM.c.ended_unix_s.is_(None), ~queued)
             for number in connection.execute(standing).scalars().all():
                 _send(connection, number, [way], at)
-        seen[way] = at
-    return [way for way, last in seen.items() if at - last <= IN_USE_S]
+        last_seen[way] = at
+    return [way for way, last in last_seen.items() if at - last <= IN_USE_S]
 
 
 def _send(connection: Connection, number: int, ways: Sequence[str], at: float) -> None:

@@ -46,16 +46,16 @@ class WatchedConnection(psycopg.Connection[Any]):
 
     def _watched(self, gen: Generator[Any, Any, Result]) -> Generator[Any, Any, Result]:
         """Hand on what `gen` waits for and what became ready; nothing ready for long raises."""
-        asked_s = time.monotonic()
+        answered_s = time.monotonic()
         try:
             wanted = next(gen)
             while True:
                 ready = yield wanted
                 if ready:
-                    asked_s = time.monotonic()
-                elif time.monotonic() - asked_s > SILENT_S:
+                    answered_s = time.monotonic()
+                elif time.monotonic() - answered_s > SILENT_S:
                     self._ask()
-                    asked_s = time.monotonic()
+                    answered_s = time.monotonic()
                 wanted = gen.send(ready)
         except StopIteration as end:
             result: Result = end.value

@@ -91,7 +91,7 @@ def logs_of(path: Path) -> tuple[tuple[int, int] | None, ...]:
     return tuple(_number_of(f"{os.path.realpath(path)}{ending}") for ending in LOGS)
 
 
-def log_cut(path: Path, seen: int) -> tuple[bool, int]:
+def log_cut(path: Path, size_before: int) -> tuple[bool, int]:
     """Return whether a log that was seen so long was emptied or cut short in its place, and how long it is now.
 
     A log only grows, but for a checkpoint that empties it; its index lists no page after that. [bytes] A log that
@@ -101,19 +101,19 @@ def log_cut(path: Path, seen: int) -> tuple[bool, int]:
         with Path(f"{os.path.realpath(path)}{LOGS[0]}").open("rb") as log:
             begins, size = log.read(len(_BEGINS[0])), log.seek(0, os.SEEK_END)
     except OSError:
-        return False, seen
+        return False, size_before
     if begins and begins not in _BEGINS:  # somebody has written behind the hole
-        return True, seen
-    if size >= seen:
+        return True, size_before
+    if size >= size_before:
         return False, size
     try:
         with closing(sqlite3.connect(path)) as connection:
             pages = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1]
             page_size = connection.execute("PRAGMA page_size").fetchone()[0]
     except sqlite3.Error as error:
-        return not _says_nothing(error), seen
+        return not _says_nothing(error), size_before
     cut = pages > 0 and size < _LOG_HEADER + pages * (_PAGE_HEADER + page_size)
-    return cut, seen if cut else size
+    return cut, size_before if cut else size
 
 
 def settle(held: sqlite3.Connection) -> bool:

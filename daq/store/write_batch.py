@@ -167,7 +167,7 @@ def decode_item(text: str) -> WriteBatch | Entry:
             for n, utc, monotonic_s, values, qualities in tree["scans"]
         ),
         events=tuple(
-            PressEvent(PressEventKind(k), at, seen, EventSource(by)) for k, at, seen, by in tree["events"]
+            PressEvent(PressEventKind(k), at, noticed, EventSource(by)) for k, at, noticed, by in tree["events"]
         ),
         begin=None
         if begin is None

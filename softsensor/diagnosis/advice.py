@@ -40,30 +40,30 @@ class AdviceBasis:
 
 
 def next_measurement(
-    verdict: Verdict, findings: Sequence[Finding], seen: AdviceBasis, suspected: Sequence[Finding] = ()
+    verdict: Verdict, findings: Sequence[Finding], basis: AdviceBasis, suspected: Sequence[Finding] = ()
 ) -> Message:
     """Return one sentence: the measurement that would help most."""
-    core_K, extended_K = seen.core_K or 0.0, seen.extended_core_K or 0.0
+    core_K, extended_K = basis.core_K or 0.0, basis.extended_core_K or 0.0
     if verdict is Verdict.TOO_FEW_RUNS:
-        more = max(FEW_RUNS - seen.runs, 1)
+        more = max(FEW_RUNS - basis.runs, 1)
         panels = say("next-more-runs", more=more, least=FEW_RUNS)
-        return seen.words(panels, say("next-more-runs-rig", more=more, least=FEW_RUNS))
+        return basis.words(panels, say("next-more-runs-rig", more=more, least=FEW_RUNS))
     if verdict is Verdict.NOT_DESCRIBED:
-        return seen.words(say("next-describe"), say("next-describe-rig"))
+        return basis.words(say("next-describe"), say("next-describe-rig"))
     several = next((f for f in findings if len(f.set) > 1), None)
     if several is not None:
         causes = tuple(map(called, several.set))
         return say("next-tell-apart", causes=causes, confirm=find_effect(several.set[0]).confirm)
     if verdict is Verdict.UNKNOWN_EFFECT:
-        look = seen.words(say("next-look-there"), say("next-look-there-rig"))
+        look = basis.words(say("next-look-there"), say("next-look-there-rig"))
         return find_effect(suspected[0].name).confirm if suspected else look
     if not findings:
-        none = seen.words(say("next-none"), say("next-none-rig"))
+        none = basis.words(say("next-none"), say("next-none-rig"))
         return say("next-constants", kelvin=core_K) if core_K > CORE_OFF_K else none
     if core_K > CORE_OFF_K and extended_K < 0.5 * core_K:
         return say("next-none-confirmed", before=core_K, after=extended_K)
     effect = find_effect(findings[0].name)
-    if seen.panel and not core_K and not effect.measuring and not effect.confirmed_in_core:
+    if basis.panel and not core_K and not effect.measuring and not effect.confirmed_in_core:
         return say("next-confirm-and-core", confirm=effect.confirm)
     return effect.confirm
 

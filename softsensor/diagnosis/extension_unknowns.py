@@ -145,8 +145,8 @@ def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> It
 
 def _timing(digest: Digest) -> Iterator[Unknown]:
     closed, opened = digest.moments.closed_s, digest.moments.opened_s
-    seen = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
-    for name, at, (switched, gap) in zip(("closed_s", "opened_s"), (closed, opened), seen, strict=True):
+    switches = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
+    for name, at, (switched, gap) in zip(("closed_s", "opened_s"), (closed, opened), switches, strict=True):
         if np.isfinite(at) and np.isfinite(switched):
             yield Unknown(name, switched - gap / 2 - at, float(np.hypot(gap / np.sqrt(12.0), SWITCH_S)))
         elif np.isfinite(at):

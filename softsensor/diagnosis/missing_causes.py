@@ -138,8 +138,8 @@ def with_missing_causes(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
     is how far off it is, and for that they count.
     """
     met = [fit for fit in fits if fit.met]
-    seen = missing_causes([run_evidence(fit.problem, fit.minimum.evaluation) for fit in met or fits])
-    return replace(model, missing=seen if met else _far_off(seen, [fit.rmse_still_K for fit in fits]))
+    missing = missing_causes([run_evidence(fit.problem, fit.minimum.evaluation) for fit in met or fits])
+    return replace(model, missing=missing if met else _far_off(missing, [fit.rmse_still_K for fit in fits]))
 
 
 def held_against(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
@@ -157,16 +157,16 @@ def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | 
     """
     met = [fit for fit in fits if fit.get("met", True)]
     found = [fit["evidence"] for fit in met or fits if fit.get("evidence")]
-    seen = missing_causes([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
-    return seen if met else _far_off(seen, left_in(fits)[1].tolist())
+    missing = missing_causes([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
+    return missing if met else _far_off(missing, left_in(fits)[1].tolist())
 
 
-def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses | None:
+def _far_off(missing: MissingCauses | None, left: Sequence[float]) -> MissingCauses | None:
     """Return the chances for runs the model describes none of: no cause takes anything of what is left."""
     known = [kelvins for kelvins in left if math.isfinite(kelvins)]
-    if seen is None or not known:
-        return seen
-    return replace(seen, runs=0, unexplained_K=max(seen.unexplained_K, float(np.median(known))))
+    if missing is None or not known:
+        return missing
+    return replace(missing, runs=0, unexplained_K=max(missing.unexplained_K, float(np.median(known))))
 
 
 def _moved(problem: FitProblem, effect: Effect, values: Mapping[str, float], base: Array) -> list[Array]:
@@ -226,9 +226,9 @@ class _Size:
         size = float(score.sum() / power.sum())
         noise = 1.0 / math.sqrt(power.sum())
         count = len(runs)
-        seen = float(np.sqrt(((score - size * power) ** 2).sum()) / power.sum())
-        seen *= math.sqrt(count / max(count - 1, 1)) * student(max(count - 1, 2)) / BAND
-        error = math.hypot(max(noise, seen), SIZE_FLOOR * size)
+        scattered = float(np.sqrt(((score - size * power) ** 2).sum()) / power.sum())
+        scattered *= math.sqrt(count / max(count - 1, 1)) * student(max(count - 1, 2)) / BAND
+        error = math.hypot(max(noise, scattered), SIZE_FLOOR * size)
         gain = 0.5 * (size / noise) ** 2
         if size < 0.0 and _one_sided(name):
             size, gain = 0.0, 0.0

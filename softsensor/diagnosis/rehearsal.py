@@ -252,12 +252,12 @@ def _with_panel(run: Run, moments: Moments) -> np.ndarray:
     return np.asarray((run.time_s >= begin) & (run.time_s < end))
 
 
-def hidden_of(campaign: Campaign, asked: Sequence[str] = ()) -> list[Hidden]:
+def hidden_of(campaign: Campaign, names: Sequence[str] = ()) -> list[Hidden]:
     """Return what is to be hidden: each cause these runs could show at its typical size, or those asked for.
 
     Parameters
     ----------
-    asked
+    names
         ``NAME``, or ``NAME=SIZE`` with the first parameter's value in its unit.
 
     Raises
@@ -266,10 +266,10 @@ def hidden_of(campaign: Campaign, asked: Sequence[str] = ()) -> list[Hidden]:
         For an unknown cause, a size that is no number, outside what the cause can be or of one without a size, and
         for a cause that these runs cannot show.
     """
-    if not asked:
+    if not names:
         return [_sized(find_effect(name), "") for name in campaign.testable]
     wanted = []
-    for one in asked:
+    for one in names:
         hidden = sized(one)
         if hidden.name not in campaign.testable:
             raise InputError(say("rehearsal-not-testable", name=hidden.name, known=campaign.testable))
@@ -277,9 +277,9 @@ def hidden_of(campaign: Campaign, asked: Sequence[str] = ()) -> list[Hidden]:
     return list(dict.fromkeys(wanted))
 
 
-def sized(asked: str) -> Hidden:
+def sized(text: str) -> Hidden:
     """Return a cause as asked for, ``NAME`` or ``NAME=SIZE``. Raises `InputError`, before any run is looked at."""
-    name, _, size = asked.partition("=")
+    name, _, size = text.partition("=")
     return _sized(find_effect(name), size)
 
 
@@ -429,5 +429,5 @@ def _row(hidden: Hidden, outcomes: Sequence[Outcome]) -> Row:
 
 
 def _rate(happened: Iterable[bool]) -> Rate:
-    seen = list(happened)
-    return Rate(sum(seen), len(seen))
+    outcomes = list(happened)
+    return Rate(sum(outcomes), len(outcomes))

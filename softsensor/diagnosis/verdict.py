@@ -200,7 +200,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     findings = _sensor_findings(faults, columns) + _with_wider_intervals(causes[:named], models[named:])
     to_confirm = () if something_left(basis.remains[named], len(runs)) else suspected
     base, extended = errors[0], errors[named]
-    seen = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
+    advice_basis = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
     return Diagnosis(
         verdict=conclusion.verdict,
         findings=findings,
@@ -210,7 +210,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         noise_floor_K=_rounded(noise),
         where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages, (*findings, *suspected)),
-        next_measurement=next_measurement(conclusion.verdict, findings, seen, to_confirm),
+        next_measurement=next_measurement(conclusion.verdict, findings, advice_basis, to_confirm),
         seconds=0.0,
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
         stages=tuple(stages[: named + 1]),

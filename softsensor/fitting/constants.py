@@ -212,8 +212,8 @@ def _scatter_of(key: str, fits: Sequence[ConstantFit]) -> Scatter:
         shift2 = product2 / (1.0 + product2 * float(np.sum(precision / apart)))
         shift = shift2 * float(np.sum(off / apart))
         variance = size2 / apart
-        seen = np.sum(variance**2 * ((off - precision * shift) ** 2 + precision**2 * shift2) + variance)
-        new = (float(seen) + SPREAD_RUNS * before) / (len(fits) + SPREAD_RUNS)
+        squares = np.sum(variance**2 * ((off - precision * shift) ** 2 + precision**2 * shift2) + variance)
+        new = (float(squares) + SPREAD_RUNS * before) / (len(fits) + SPREAD_RUNS)
         settled, size2 = abs(new - size2) < 1e-9, new
         if settled:
             break

@@ -132,8 +132,8 @@ class Dependence:
         for name, low, high in zip(self.settings, self.lowest, self.highest, strict=True):
             if name in settings and not low <= settings[name] <= high:
                 known = {"name": name, "unit": SETTINGS[name][0]}
-                seen = {"value": settings[name], "low": float(low), "high": float(high)}
-                remarks.append(say("fit-program-outside", **known, **seen))
+                limits = {"value": settings[name], "low": float(low), "high": float(high)}
+                remarks.append(say("fit-program-outside", **known, **limits))
         coefficients = self.predict(settings)
         intervals = {}
         for name, e in coefficients.items():

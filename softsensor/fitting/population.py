@@ -73,25 +73,25 @@ def information(problem: FitProblem, at: Evaluation, spread: float, names: Seque
     """
     bare = tuple(replace(u, sd=float("inf")) if u.name in names else u for u in problem.unknowns)
     matrix, right = normal_equations(replace(problem, unknowns=bare), at)
-    asked = [i for i, n in enumerate(names) if n in problem.names]
-    own = [problem.names.index(names[i]) for i in asked]
+    own_places = [i for i, n in enumerate(names) if n in problem.names]
+    own = [problem.names.index(names[i]) for i in own_places]
     held, carried = constants_among(problem), carried_among(problem)
     rest = [j for j in range(len(problem.names)) if j not in (*own, *held)]
     inner = inverse(matrix[np.ix_(rest, rest)])
     cross = matrix[np.ix_(own, rest)] @ inner
-    seen = (matrix[np.ix_(own, own)] - cross @ matrix[np.ix_(rest, own)]) / spread**2
-    values, vectors = np.linalg.eigh(0.5 * (seen + seen.T))
+    information = (matrix[np.ix_(own, own)] - cross @ matrix[np.ix_(rest, own)]) / spread**2
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     known = (vectors * np.maximum(values, 0.0)) @ vectors.T
     leaning = (matrix[np.ix_(own, carried)] - cross @ matrix[np.ix_(rest, carried)]) / spread**2
     lean = inverse(known) @ leaning
     doubt = np.eye(len(carried)) + leaning.T @ lean  # a constant counts in its standard deviation
     share = leaning @ inverse(doubt)  # `problem.left_open`, as a loss of precision
     precision, slope = np.zeros((len(names), len(names))), np.zeros(len(names))
-    precision[np.ix_(asked, asked)] = known - share @ leaning.T
+    precision[np.ix_(own_places, own_places)] = known - share @ leaning.T
     right = (right[own] - cross @ right[rest]) / spread**2
-    slope[asked] = right - share @ lean.T @ right
+    slope[own_places] = right - share @ lean.T @ right
     x = np.log([problem.values[n] for n in names])
-    x[asked] = at.x[own]
+    x[own_places] = at.x[own]
     return Knowledge(precision, precision @ x + slope, x)
 
 

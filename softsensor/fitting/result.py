@@ -301,8 +301,8 @@ def misfit_of(problem: FitProblem, rmse: float, first: float, share: float = MIS
     share
         Of the readings' span that may be left.
     """
-    seen = [place.mean[problem.rows > 0] for place in problem.signals.places]
-    span = float(np.ptp(np.concatenate([s[np.isfinite(s)] for s in seen])))
+    means = [place.mean[problem.rows > 0] for place in problem.signals.places]
+    span = float(np.ptp(np.concatenate([s[np.isfinite(s)] for s in means])))
     noise = float(np.hypot(problem.noise.white_K, problem.noise.fast_K))
     if lost := lost_insertion(problem.case, problem.signals):
         return lost

@@ -18,7 +18,7 @@ from softsensor.heat.solve_request import SolveRequest
 class Build:
     """The arrays of one solve, ready for the compiled steps."""
 
-    asked: SolveRequest
+    request: SolveRequest
     stack: implicit_steps.Stack
     tangents: implicit_steps.Tangents
     drive: implicit_steps.Drive
@@ -26,29 +26,29 @@ class Build:
     nonlinear: bool
 
     @staticmethod
-    def of(case: Case, asked: SolveRequest, *, nonlinear: bool) -> Build:
+    def of(case: Case, request: SolveRequest, *, nonlinear: bool) -> Build:
         """Lay out a case; `nonlinear` where an effect is. Raises NoSteadyState."""
-        layout, p = case.layout, -(-len(asked.names) // 4) * 4
-        stack = layout.stack(case.mesh, asked.terms, asked.values, case.ambient)
-        tangents = layout.tangents(asked.terms, asked.d_terms, asked.names, p)
-        drive = _drive(case, asked, p)
-        start = _start(case, asked, stack, tangents, drive)
+        layout, p = case.layout, -(-len(request.names) // 4) * 4
+        stack = layout.stack(case.mesh, request.terms, request.values, case.ambient)
+        tangents = layout.tangents(request.terms, request.d_terms, request.names, p)
+        drive = _drive(case, request, p)
+        start = _start(case, request, stack, tangents, drive)
         return Build(
-            asked, stack, tangents, drive, start, nonlinear or bool(len(stack.table_x)) or layout.radiates
+            request, stack, tangents, drive, start, nonlinear or bool(len(stack.table_x)) or layout.radiates
         )
 
     def begun_at_rest(self, case: Case) -> Build:
         """Return the build with a start at rest between first readings, as its tangents are now."""
-        start = _empty_state(case, self.asked, self.width)
-        conditions = first_profile.Conditions(self.asked, self.stack, self.tangents, self.drive)
+        start = _empty_state(case, self.request, self.width)
+        conditions = first_profile.Conditions(self.request, self.stack, self.tangents, self.drive)
         first_profile.at_rest(case, conditions, start)
-        _shift(start, self.asked)
+        _shift(start, self.request)
         return replace(self, start=_begun(start))
 
     @property
     def terms(self) -> Terms:
         """Of all effects together."""
-        return self.asked.terms
+        return self.request.terms
 
     @property
     def width(self) -> int:
@@ -56,24 +56,24 @@ class Build:
         return int(self.start.s.shape[0])
 
 
-def _drive(case: Case, asked: SolveRequest, p: int) -> implicit_steps.Drive:
-    names, contacts = asked.names, asked.terms.closed_contact
-    weight, d_weight = case.step_clock.shares(asked.values, names, p)
+def _drive(case: Case, request: SolveRequest, p: int) -> implicit_steps.Drive:
+    names, contacts = request.names, request.terms.closed_contact
+    weight, d_weight = case.step_clock.shares(request.values, names, p)
     factor, d_factor = case.unchanged, np.zeros((*case.unchanged.shape, p))
     if contacts:
         factor = factor.copy()
         for m, f in contacts.items():
             factor[:, m] = f
-    boundary, shift = case.boundary, asked.boundary_shift
+    boundary, shift = case.boundary, request.boundary_shift
     if shift != (0.0, 0.0):
         boundary = boundary.copy()
         boundary[:, :, 0] += shift
     d_boundary = np.zeros((2, p))
     for i, name in enumerate(names):
-        if name in asked.d_terms:
-            for m, f in asked.d_terms[name].closed_contact.items():
+        if name in request.d_terms:
+            for m, f in request.d_terms[name].closed_contact.items():
                 d_factor[:, m, i] = f
-            d_boundary[:, i] = asked.d_terms[name].boundary_offset
+            d_boundary[:, i] = request.d_terms[name].boundary_offset
         if name in ("boundary_bottom_K", "boundary_top_K"):
             d_boundary[0 if "bottom" in name else 1, i] = 1.0
     d_boundary[~case.layout.measured] = 0.0
@@ -82,29 +82,29 @@ def _drive(case: Case, asked: SolveRequest, p: int) -> implicit_steps.Drive:
 
 def _start(
     case: Case,
-    asked: SolveRequest,
+    request: SolveRequest,
     stack: implicit_steps.Stack,
     tangents: implicit_steps.Tangents,
     drive: implicit_steps.Drive,
 ) -> implicit_steps.State:
     p = drive.d_boundary.shape[1]
-    state = _empty_state(case, asked, p)
+    state = _empty_state(case, request, p)
     initial, panel = case.press.initial, case.layout.panel
-    shift, names = asked.values.get("initial_K", 0.0), asked.names
+    shift, names = request.values.get("initial_K", 0.0), request.names
     if initial.kind == "steady":
-        still, held = _at_rest(case, asked, drive), _held(case, shift, names, p)
+        still, held = _at_rest(case, request, drive), _held(case, shift, names, p)
         cell = implicit_steps.rest(stack, tangents, still, held, state)
         if cell >= 0:
             _refuse_start(case, cell)
-        state.t[~panel] += float(asked.terms.plates_offset)
-        for name, terms in asked.d_terms.items():
+        state.t[~panel] += float(request.terms.plates_offset)
+        for name, terms in request.d_terms.items():
             state.s[names.index(name), ~panel] += float(terms.plates_offset)
     else:
         if initial.kind == "uniform":
             state.t[:] = _uniform(case)
         else:
             first_profile.in_height(case, state)
-        _shift(state, asked)
+        _shift(state, request)
     return _begun(state)
 
 
@@ -115,16 +115,16 @@ def _begun(state: implicit_steps.State) -> implicit_steps.State:
     return state
 
 
-def _empty_state(case: Case, asked: SolveRequest, p: int) -> implicit_steps.State:
-    n, r, z = len(case.mesh.dx), len(asked.terms.conversions), np.zeros
+def _empty_state(case: Case, request: SolveRequest, p: int) -> implicit_steps.State:
+    n, r, z = len(case.mesh.dx), len(request.terms.conversions), np.zeros
     return implicit_steps.State(z(n), z(n), z((r, n)), z((p, n)), z((p, n)), z((r, p, n)), z(1))
 
 
-def _shift(state: implicit_steps.State, asked: SolveRequest) -> None:
+def _shift(state: implicit_steps.State, request: SolveRequest) -> None:
     """Shift everything by what the start is off."""
-    state.t[:] += asked.values.get("initial_K", 0.0)
-    if "initial_K" in asked.names:
-        state.s[asked.names.index("initial_K")] += 1.0
+    state.t[:] += request.values.get("initial_K", 0.0)
+    if "initial_K" in request.names:
+        state.s[request.names.index("initial_K")] += 1.0
 
 
 def _uniform(case: Case) -> float:
@@ -135,12 +135,12 @@ def _uniform(case: Case) -> float:
     return case.panel.initial_temperature
 
 
-def _at_rest(case: Case, asked: SolveRequest, drive: implicit_steps.Drive) -> implicit_steps.Drive:
+def _at_rest(case: Case, request: SolveRequest, drive: implicit_steps.Drive) -> implicit_steps.Drive:
     """One step at the first row's outside temperatures, before the panel comes."""
     contacts, p = drive.d_factor.shape[1:]
     weight, outside = np.zeros((1, 3)), np.zeros((1, 2, 2))
     weight[0, 0 if case.panel is not None else (1 if case.press.has_states else 2)] = 1.0
-    outside[0, :, 0] = case.outside[0] + asked.boundary_shift
+    outside[0, :, 0] = case.outside[0] + request.boundary_shift
     one, unmoved = case.unchanged[:1], np.zeros((1, contacts, p))
     return implicit_steps.Drive(np.ones(1), weight, np.zeros((1, 3, p)), one, unmoved, outside, drive.d_boundary)
 

@@ -47,13 +47,13 @@ class Solution:
 
 def read_places(case: Case, build: Build) -> Array:
     """Return the weights that read off the places, and the press faces opposite them where they mix in (m, n)."""
-    faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.asked.d_terms.values())
+    faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.request.d_terms.values())
     return np.concatenate([case.places, case.press_face]) if faces else case.places
 
 
 def observe(case: Case, build: Build, record: implicit_steps.Record) -> Solution:
     """Apply the measuring chain and read off the rows."""
-    names, terms, d_terms, m = build.asked.names, build.terms, build.asked.d_terms, len(case.places)
+    names, terms, d_terms, m = build.request.names, build.terms, build.request.d_terms, len(case.places)
     out, d_out = record.out, record.d_out[: len(names)]
     true, d_true = out[:, :m], d_out[:, :, :m]
     rows = case.reader(true)
@@ -84,7 +84,7 @@ def observe(case: Case, build: Build, record: implicit_steps.Record) -> Solution
         places=true_rows,
         d_sensors=Derivatives(names, d_rows, columns),
         d_core={name: d_core[i] for i, name in enumerate(names)},
-        closed_share=case.row_clock.shares(build.asked.values)[0][:, 2],
+        closed_share=case.row_clock.shares(build.request.values)[0][:, 2],
         fields=record.fields,
         final=build.start,
     )
@@ -92,16 +92,16 @@ def observe(case: Case, build: Build, record: implicit_steps.Record) -> Solution
 
 def _mix_footprint(case: Case, build: Build, out: Array, d_out: Array) -> tuple[Array, Array]:
     """Mix the opposite press face into the panel's surface sensors while closed."""
-    asked, m = build.asked, len(case.places)
+    request, m = build.request, len(case.places)
     y, dy = out[:, :m].copy(), d_out[:, :, :m].copy()
-    w = float(asked.terms.footprint)
-    shares, d_shares = case.edge_clock.shares(asked.values, asked.names)
+    w = float(request.terms.footprint)
+    shares, d_shares = case.edge_clock.shares(request.values, request.names)
     closed, d_closed = shares[:, 2], d_shares[:, 2]
     for place in np.flatnonzero(case.press_face.any(axis=1)):
         gap = out[:, m + place] - y[:, place]
         d_gap = d_out[:, :, m + place] - dy[:, :, place]
         y[:, place] += w * closed * gap
         dy[:, :, place] += w * closed * d_gap + w * gap * d_closed.T
-        for name, terms in asked.d_terms.items():
-            dy[asked.names.index(name), :, place] += float(terms.footprint) * closed * gap
+        for name, terms in request.d_terms.items():
+            dy[request.names.index(name), :, place] += float(terms.footprint) * closed * gap
     return y, dy

@@ -33,7 +33,7 @@ from daq.words import say
 from softsensor.heat import implicit_steps, modal_steps, step_terms
 from softsensor.heat.build import Build
 from softsensor.heat.case import Case, snap, step_means
-from softsensor.heat.modal_steps import Seen
+from softsensor.heat.modal_steps import Neighbourhood
 from softsensor.heat.readout import Reader
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP, TIMINGS
 
@@ -128,8 +128,8 @@ def run_exact(grid: Grid, build: Build, places: Array, *, fields: bool = False) 
         else:
             march.ramp(span)
     d_out = np.empty((0, *march.out.shape))
-    if build.asked.names and grid.spread is not None:
-        d_out = grid.spread(march.d_out[: len(build.asked.names)])
+    if build.request.names and grid.spread is not None:
+        d_out = grid.spread(march.d_out[: len(build.request.names)])
     return implicit_steps.Record(places, march.out, d_out, march.fields)
 
 
@@ -171,7 +171,7 @@ class _March:
     def steady(self, span: Span, w: Array, dw: Array) -> None:
         """Take exact steps with constant contacts and so constant coefficients."""
         modes = _decouple(w, self.build.stack.ambient)
-        names, m = self.build.asked.names, len(self.places)
+        names, m = self.build.request.names, len(self.places)
         read = np.zeros((max(m, 3), len(modes.rates)))
         read[:m] = self.places @ modes.to_t
         edges = self.coarse[np.searchsorted(self.coarse, span.first) : np.searchsorted(self.coarse, span.last) + 1]
@@ -193,11 +193,11 @@ class _March:
         self, w: Array, dw: Array, modes: Modes, edges: NDArray[np.int64], history: Array, read: Array
     ) -> None:
         """Carry the tangents over a span, forced by what the parameters do to the temperatures."""
-        n, p = len(modes.rates), len(self.build.asked.names)
-        seen = self._seen(dw, modes, edges, history)
-        power = np.empty((p, len(edges), len(seen.cells)))
-        modal_steps.disturb(w, dw, self.drive.d_boundary, self.build.stack.ambient, seen, power)
-        gains, busy = modes.from_power.T[seen.cells], np.flatnonzero(power.any(axis=(1, 2)))
+        n, p = len(modes.rates), len(self.build.request.names)
+        around = self._neighbourhood(dw, modes, edges, history)
+        power = np.empty((p, len(edges), len(around.cells)))
+        modal_steps.disturb(w, dw, self.drive.d_boundary, self.build.stack.ambient, around, power)
+        gains, busy = modes.from_power.T[around.cells], np.flatnonzero(power.any(axis=(1, 2)))
         h = snap(np.diff(self.edges[edges]))
         start = self.state.s[:p] @ modes.from_t.T
         at = int(np.searchsorted(self.coarse, edges[0]))
@@ -212,7 +212,7 @@ class _March:
             start = q[:, -1]
         self.state.s[:p] = start @ modes.to_t.T
 
-    def _seen(self, dw: Array, modes: Modes, edges: NDArray[np.int64], history: Array) -> Seen:
+    def _neighbourhood(self, dw: Array, modes: Modes, edges: NDArray[np.int64], history: Array) -> Neighbourhood:
         """Return the cells any parameter touches, and the temperatures in and beside them."""
         n = len(modes.rates)
         touched = (dw[: step_terms.DSLOPE + 1] != 0.0).any(axis=(0, 1))
@@ -221,13 +221,13 @@ class _March:
         cells = np.flatnonzero(touched[:n])
         near = np.zeros(n + 2, dtype=bool)
         near[cells] = near[cells + 1] = near[cells + 2] = True
-        seen = np.empty((len(edges), int(near.sum())))
+        around = np.empty((len(edges), int(near.sum())))
         low, top = int(near[0]), int(near[-1])
-        seen[:, low : seen.shape[1] - top] = history @ modes.to_t[near[1:-1]].T
+        around[:, low : around.shape[1] - top] = history @ modes.to_t[near[1:-1]].T
         for end, there in ((0, low), (-1, top)):
             if there:
-                seen[:, end] = self.outside[edges, end]
-        return Seen(cells, np.cumsum(near) - 1, seen)
+                around[:, end] = self.outside[edges, end]
+        return Neighbourhood(cells, np.cumsum(near) - 1, around)
 
 
 def freeze(build: Build, steps: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -44,7 +44,7 @@ LEAST_SHARE = 1e-9
 class Conditions:
     """What a start at rest follows: the arrays of a solve, of which the first step counts."""
 
-    asked: SolveRequest
+    request: SolveRequest
     stack: implicit_steps.Stack
     tangents: implicit_steps.Tangents
     drive: implicit_steps.Drive
@@ -137,12 +137,12 @@ def in_height(case: Case, state: implicit_steps.State) -> None:
 
 def at_rest(case: Case, of: Conditions, state: implicit_steps.State) -> None:
     """Set the state to the temperatures between the first readings, in the first step's conditions."""
-    readings = first_readings(case, of.asked.boundary_shift)
+    readings = first_readings(case, of.request.boundary_shift)
     state.t[:] = np.mean(list(readings.values()))
     for _ in range(implicit_steps.REST_ROUNDS):
         resistance = _resistance(of, state)
         d_read = {name: of.drive.d_boundary[end] for end, name in enumerate(ENDS)}
-        t, s = _between(case, of.asked, readings, resistance, d_read)
+        t, s = _between(case, of.request, readings, resistance, d_read)
         change = max(np.abs(t - state.t).max(), 1e-3 * np.abs(s - state.s).max(initial=0.0))
         state.t[:], state.s[:] = t, s
         if change < implicit_steps.SETTLED_K:
@@ -181,7 +181,7 @@ def _resistance(of: Conditions, state: implicit_steps.State) -> Resistance:
 
 
 def _between(
-    case: Case, asked: SolveRequest, readings: dict[str, float], along: Resistance, d_read: Mapping[str, Array]
+    case: Case, request: SolveRequest, readings: dict[str, float], along: Resistance, d_read: Mapping[str, Array]
 ) -> tuple[Array, Array]:
     """Return temperatures along the resistance (n), and their derivatives (P, n)."""
     none = np.zeros(len(along.d_cells))
@@ -200,9 +200,9 @@ def _between(
     for i, (low, high) in enumerate(pairwise(groups)):
         u, d_u = along.share(case, (low[0], high[0]))
         name = f"start_{sum(map(len, groups[: i + 1])) - 1}_K"
-        rise, bend = values[i + 1] - values[i], 4.0 * asked.values.get(name, 0.0)
+        rise, bend = values[i + 1] - values[i], 4.0 * request.values.get(name, 0.0)
         t += u * rise + bend * u * (1.0 - u)
         s += d_u * (rise + bend * (1.0 - 2.0 * u)) + np.outer(d_values[i + 1] - d_values[i], u)
-        if name in asked.names:
-            s[asked.names.index(name)] += 4.0 * u * (1.0 - u)
+        if name in request.names:
+            s[request.names.index(name)] += 4.0 * u * (1.0 - u)
     return t, s

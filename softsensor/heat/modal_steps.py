@@ -166,7 +166,7 @@ def drive(forced, q, noted):
             wanted += 1
 
 
-class Seen(NamedTuple):
+class Neighbourhood(NamedTuple):
     """Temperatures in and beside the cells that parameters touch."""
 
     cells: Integers
@@ -188,11 +188,11 @@ def disturb(w, dw, shift, ambient, temperatures, power):
     shift
         Tangents of the temperatures outside below and above (2, P). [K]
     temperatures
-        `Seen` at every step edge.
+        `Neighbourhood` at every step edge.
     power
         (P, steps, c). [W/m²]
     """
-    cells, column, seen = temperatures.cells, temperatures.column, temperatures.t
+    cells, column, around = temperatures.cells, temperatures.column, temperatures.t
     n = w.shape[1] - 1
     for q in range(power.shape[0]):
         for c in range(cells.shape[0]):
@@ -206,5 +206,5 @@ def disturb(w, dw, shift, ambient, temperatures, power):
             if i == n - 1:
                 rest += w[G, n] * shift[1, q]
             below, own, above = column[i], column[i + 1], column[i + 2]
-            for k in range(seen.shape[0]):
-                power[q, k, c] = low * seen[k, below] + here * seen[k, own] + high * seen[k, above] + rest
+            for k in range(around.shape[0]):
+                power[q, k, c] = low * around[k, below] + here * around[k, own] + high * around[k, above] + rest

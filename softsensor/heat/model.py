@@ -188,8 +188,8 @@ class ThermalModel:
         parts = self._parts(case, values)
         terms = _merged(parts)
         late = any(e.nonlinear or terms.closed_contact for e in self.effects)
-        asked = SolveRequest(values, tangents, terms, self._derived(case, values, parts, tangents, late=late))
-        return Build.of(case, asked, nonlinear=any(e.nonlinear for e in self.effects))
+        request = SolveRequest(values, tangents, terms, self._derived(case, values, parts, tangents, late=late))
+        return Build.of(case, request, nonlinear=any(e.nonlinear for e in self.effects))
 
     def solve(
         self,

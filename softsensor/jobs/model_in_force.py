@@ -73,14 +73,15 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
         estimate = _combined(known, kind, press.coefficient(name).guess, list(known_values(name, fits)))
         if estimate is not None:
             table[name] = estimate
-    seen = stored_missing_causes(fits)
+    missing = stored_missing_causes(fits)
     if base is None:
-        return _with_constants(ModelFile(PRESS_FILE, press.name, table, missing=seen), fits)
+        return _with_constants(ModelFile(PRESS_FILE, press.name, table, missing=missing), fits)
     before = base.missing
-    looked_at = 0 if seen is None else seen.runs or len(fits)  # runs not described settle nothing, yet say so
+    # runs that are not described settle nothing, yet say so
+    looked_at = 0 if missing is None else missing.runs or len(fits)
     if before is not None and looked_at < before.runs:
-        seen = before
-    return _with_constants(replace(base, coefficients=table, missing=seen), fits)
+        missing = before
+    return _with_constants(replace(base, coefficients=table, missing=missing), fits)
 
 
 def with_stored_fits(model: ModelFile, fits: Sequence[Mapping[str, Any]]) -> ModelFile:
@@ -121,8 +122,8 @@ def _combined(
     else:
         spread = SPREAD_LOG if known is None else max(spread_of(known.value, known.sd), LEAST_SPREAD_LOG)
     if len(logs) >= 3:
-        seen = max(float(logs.var(ddof=1)) - float(np.mean(errors**2)), 0.0)
-        spread = spread_with(spread, seen, len(logs))
+        observed = max(float(logs.var(ddof=1)) - float(np.mean(errors**2)), 0.0)
+        spread = spread_with(spread, observed, len(logs))
     weights = 1.0 / (spread**2 + errors**2)
     if known is None:
         centre, own = math.log(guess), 1.0 / GUESS_LOG**2

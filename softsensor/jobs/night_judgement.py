@@ -176,10 +176,10 @@ def judge_night(night: NightBasis, outcome: NightOutcome) -> NightOutcome:
             reason=say("night-too-few-runs", runs=len(good), needed=FEWEST_RUNS),
         )
     held = good[-min(JUDGES, len(good) // 3) :] if len(good) >= SPLIT_FROM else []
-    asked = [run for run in good if run not in held][-DIAGNOSED_RUNS:]
+    diagnosed = [run for run in good if run not in held][-DIAGNOSED_RUNS:]
     base = combined_model(night.press, night.base, [night.fits[run] for run in good])
-    report, extended, unsure = _diagnose(night, asked)
-    night.store.put_diagnosis(night.name, {**report, "runs": asked})
+    report, extended, unsure = _diagnose(night, diagnosed)
+    night.store.put_diagnosis(night.name, {**report, "runs": diagnosed})
     named = tuple(str(effect["name"]) for effect in report.get("effects", ()))
     outcome = replace(outcome, verdict=str(report["verdict"]), named=named)
     if unsure:
@@ -190,10 +190,10 @@ def judge_night(night: NightBasis, outcome: NightOutcome) -> NightOutcome:
     if night.base is not None and not night.of_sisters and _same_effects(night.base, extended):
         return replace(outcome, reason=say("night-diagnosis-confirms"))
     candidate = replace(extended, version=next_version(night.store, night.name), press=night.name)
-    fits = _fits_with(night, candidate, (held or asked)[-JUDGES:])
+    fits = _fits_with(night, candidate, (held or diagnosed)[-JUDGES:])
     candidate = with_stored_fits(replace(candidate, panels=base.panels), list(fits.values()))
     found = _compare(night, report, candidate, fits, apart=bool(held), fewer=fewer)
-    found = replace(found, figures={"diagnosed_runs": asked, **found.figures})
+    found = replace(found, figures={"diagnosed_runs": diagnosed, **found.figures})
     outcome = _promote_or_leave(night, candidate, found, outcome)
     return outcome if found.better else _keep_or_begin(night, base, outcome)
 
@@ -434,8 +434,8 @@ def _prediction_error(night: NightBasis, run: Run, moments: Moments, model: Mode
     except InputError:
         return math.nan
     squares = [(out.measured[place] - values) ** 2 for place, values in out.places.items()]
-    seen = [s[np.isfinite(s)] for s in squares]
-    return math.sqrt(_mean(np.concatenate(seen))) if any(len(s) for s in seen) else math.nan
+    finite = [s[np.isfinite(s)] for s in squares]
+    return math.sqrt(_mean(np.concatenate(finite))) if any(len(s) for s in finite) else math.nan
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def held_back(found: Diagnosis) -> Diagnosis:
     causes = tuple(f for f in found.findings if not f.of_channels)
     channels = tuple(f for f in found.findings if f.of_channels)
     panel = bool(plain.fit.layout.model.press.panel_layers)
-    seen = AdviceBasis(len(plain.data), panel, found.base.core_rmse_K, found.base.core_rmse_K)
+    basis = AdviceBasis(len(plain.data), panel, found.base.core_rmse_K, found.base.core_rmse_K)
     return replace(
         found,
         verdict=Verdict.UNKNOWN_EFFECT,
@@ -58,5 +58,5 @@ def held_back(found: Diagnosis) -> Diagnosis:
         extended=found.base,
         stages=found.stages[:1],
         remains=found.remains[:1],
-        next_measurement=next_measurement(Verdict.UNKNOWN_EFFECT, channels, seen, causes),
+        next_measurement=next_measurement(Verdict.UNKNOWN_EFFECT, channels, basis, causes),
     )

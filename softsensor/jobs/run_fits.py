@@ -65,9 +65,9 @@ class RunFits:
         lines = [entry.message for entry in self.store.journal(limit=LEFT_LINES).items]
         given_up = {line.arguments["run"] for line in lines if line.code in NO_FIT}
         for record in reversed(records):
-            seen = record.last_scan is not None and record.last_scan <= last
-            asked = record.run in given_up or record.run in self._under_way or record.run in self._due
-            if seen and not asked and "fingerprint" not in fits.get(record.run, {}):
+            followed = record.last_scan is not None and record.last_scan <= last
+            handled = record.run in given_up or record.run in self._under_way or record.run in self._due
+            if followed and not handled and "fingerprint" not in fits.get(record.run, {}):
                 self.submit_whole(record, model)
 
     def submit_ended(self, run: str, model: ModelFile | None) -> None:

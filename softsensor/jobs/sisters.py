@@ -137,9 +137,9 @@ def _coefficient(guess: float, presses: Sequence[Array]) -> tuple[FittedValue, S
     """Return a coefficient of a further press, by logarithms and their errors of presses' runs (2, runs)."""
     if not presses:
         return None
-    seen = [logs.var(ddof=1) - np.mean(errors**2) for logs, errors in presses if len(logs) > 1]
+    variances = [logs.var(ddof=1) - np.mean(errors**2) for logs, errors in presses if len(logs) > 1]
     count = sum(len(logs) - 1 for logs, _ in presses)
-    usual = max(float(np.median(seen)), 0.0) if seen else 0.0
+    usual = max(float(np.median(variances)), 0.0) if variances else 0.0
     within = spread_with(SPREAD_LOG, usual, count)
     weights = [1.0 / (within**2 + errors**2) for _, errors in presses]
     means = np.array([w @ logs / w.sum() for w, (logs, _) in zip(weights, presses, strict=True)])
@@ -193,13 +193,13 @@ def _parameters(effect: str, sisters: Sequence[Sister]) -> dict[str, FittedValue
     return found
 
 
-def _of_one_more(seen: MissingCauses | None, presses: int) -> MissingCauses | None:
+def _of_one_more(missing: MissingCauses | None, presses: int) -> MissingCauses | None:
     """Return what one more press may miss: what the others do, or what the catalogue has, as one press more."""
-    if seen is None:
+    if missing is None:
         return None
-    nothing = max(1.0 - BEFORE * len(seen.causes), BEFORE)
-    causes = {name: _cause_of_one_more(name, cause, presses) for name, cause in seen.causes.items()}
-    return replace(seen, nothing=(presses * seen.nothing + nothing) / (presses + 1), causes=causes)
+    nothing = max(1.0 - BEFORE * len(missing.causes), BEFORE)
+    causes = {name: _cause_of_one_more(name, cause, presses) for name, cause in missing.causes.items()}
+    return replace(missing, nothing=(presses * missing.nothing + nothing) / (presses + 1), causes=causes)
 
 
 def _cause_of_one_more(name: str, cause: MissingCause, presses: int) -> MissingCause:

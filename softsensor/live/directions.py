@@ -113,10 +113,10 @@ def directions_of(
         doubts = constant_doubts(run.header, press, PRODUCT_SD | _across_or_along(run))
     else:
         usual = constant_doubts(run.header, press, PANEL_TO_PANEL)
-        seen = _seen(model.learned, usual, model.missing.nothing)
+        learned = _panel_spread(model.learned, usual, model.missing.nothing)
         within = {} if f"panel.heat_capacity_J_kgK{SD}" in run.header else WITHIN_CAPACITY
-        doubts = constant_doubts(run.header, press, PANEL_TO_PANEL | seen | within)
-        own = _seen({key: s.panel for key, s in model.scatter.items()}, usual, model.missing.nothing)
+        doubts = constant_doubts(run.header, press, PANEL_TO_PANEL | learned | within)
+        own = _panel_spread({key: s.panel for key, s in model.scatter.items()}, usual, model.missing.nothing)
         panels = {key: own.get(key, size) for key, size in PANEL_TO_PANEL.items()}
     gaps = [Unowned(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
     constants = (*_constants(press, run, panel, doubts, panels), *_fluxes(doubts))
@@ -129,7 +129,7 @@ def _across_or_along(run: Run) -> dict[str, float]:
     return {CONDUCTIVITY: math.hypot(PRODUCT_SD[CONDUCTIVITY], GRAIN_SD)} if wood else {}
 
 
-def _seen(learned: Mapping[str, float], usual: Mapping[str, Doubt], nothing: float) -> dict[str, float]:
+def _panel_spread(learned: Mapping[str, float], usual: Mapping[str, Doubt], nothing: float) -> dict[str, float]:
     """Return what panels still differ by, as shares, once runs were held against a model.
 
     What earlier runs saw a constant do is the constant's own doing if no cause is missing, whose chance is

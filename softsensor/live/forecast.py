@@ -184,8 +184,8 @@ def _course(
         limits.look(copies, mixture)
         if limits.settled and not (mixture.low_C < wishes.target_C or mixture.high_C < wishes.limit_C):
             break
-    seen = ahead[: len(rows)]
-    return seen, np.array(rows).T, limits.opening(seen)
+    times = ahead[: len(rows)]
+    return times, np.array(rows).T, limits.opening(times)
 
 
 class _Limits:
@@ -193,7 +193,7 @@ class _Limits:
 
     def __init__(self, resin: ResinSetup | None) -> None:
         self._resin = resin
-        self._seen: list[Broken] = []
+        self._broken: list[Broken] = []
         self.settled = resin is None or not resin.limits.any
         """Whether nothing is to be looked for any further."""
 
@@ -202,14 +202,14 @@ class _Limits:
         if self._resin is None or self.settled:
             return
         leave = known_panel(filters, mixture, self._resin).leave(self._resin)
-        self._seen.append(leave.broken)
+        self._broken.append(leave.broken)
         self.settled = leave.holds(self._resin.limits.probability)
 
     def opening(self, ahead: Array) -> Opening:
         """Return from when on they hold, for the moments looked at."""
-        if self._resin is None or not self._seen:
+        if self._resin is None or not self._broken:
             return Opening(math.nan, math.nan, math.nan, "", math.nan)
-        return opening(ahead[: len(self._seen)], Broken.along(self._seen), self._resin.limits.probability)
+        return opening(ahead[: len(self._broken)], Broken.along(self._broken), self._resin.limits.probability)
 
 
 def _thinned(course: Array) -> tuple[tuple[float, float, float, float], ...]:

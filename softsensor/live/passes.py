@@ -101,15 +101,15 @@ class Pass:
         self._setup, self._known, self._first = setup, known, first
         self.switches = known.switches(first)
         self._uneven = UNEVEN_K if known.initial_sd > setup.start_sd else 0.0
-        asked = [
+        planned = [
             (number, panel, plan) for number, panel in enumerate(panels) for plan in self._plans(panel, model)
         ]
-        plans = [plan for _, _, plan in asked]
+        plans = [plan for _, _, plan in planned]
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
             points = [plan.start.copy() for plan in plans]
         self.points = list(points)
         self.filters = []
-        for (number, panel, plan), at in zip(asked, points, strict=True):
+        for (number, panel, plan), at in zip(planned, points, strict=True):
             made = linearise(panel.setup, plan, at)
             one = KalmanFilter.at_prior(panel.setup, made, self._timing(made), plan, panel.chance)
             self.filters.append(replace(one, panel=number))

@@ -192,7 +192,7 @@ def effect_priors(model: ModelFile | None) -> list[Unknown]:
 
 
 def nuisance_priors(
-    press: Press, known: set[str], initial_sd: float, seen: MissingCauses | None = None
+    press: Press, known: set[str], initial_sd: float, missing: MissingCauses | None = None
 ) -> list[Unknown]:
     """Return what else biases the faces' readings, but for effects the model in force already holds."""
     priors = [Unknown("initial_K", 0.0, initial_sd)]
@@ -204,7 +204,7 @@ def nuisance_priors(
             continue
         if _acts(effect, press):
             first = effect.parameters[0]
-            about = _about(_informed(prior_of(effect), seen)) if effect.needs is Need.LOAD else None
+            about = _about(_informed(prior_of(effect), missing)) if effect.needs is Need.LOAD else None
             priors.append(about or Unknown(effect.key(first.name), first.neutral, effect.scatter_sd))
     if press.panel_layers and paper_layer.EFFECT.name not in known:
         priors.append(Unknown(SKIN, 0.0, SKIN_SD))
@@ -249,17 +249,17 @@ def plans_for(
         Keys of the header whose standard deviation stands beside them: a cause that says they are off is none.
     """
     own = {name for name, _ in model.effects} if model else set()
-    seen = model.missing if model else None
+    missing = model.missing if model else None
     common = coefficient_priors(press, model) + effect_priors(model)
-    common += [*nuisance_priors(press, own, initial_sd, seen), *unowned]
+    common += [*nuisance_priors(press, own, initial_sd, missing), *unowned]
     moments = zip(TIMING, moments_sd, strict=True) if press.has_states else ()
     timing = [Unknown(name, 0.0, sd) for name, sd in moments if sd > 0.0]
     left_out = [e for e in catalogue().values() if press.panel_layers and e.name not in own]
-    left_out = [e for e in left_out if e.of_constant not in stated or _gainsaid(e, seen)]
-    causes = tuple(_informed(prior_of(e), seen) for e in left_out if e.live.role is Role.HYPOTHESIS)
-    apart = [_informed(prior_of(e), seen) for e in left_out if e.live.role is Role.OWN_FILTER]
+    left_out = [e for e in left_out if e.of_constant not in stated or _contradicted(e, missing)]
+    causes = tuple(_informed(prior_of(e), missing) for e in left_out if e.live.role is Role.HYPOTHESIS)
+    apart = [_informed(prior_of(e), missing) for e in left_out if e.live.role is Role.OWN_FILTER]
     apart = [s for s in apart if not _ruled_out(s)]
-    hidden = {name: d.absorbed for name, d in seen.causes.items()} if seen else {}
+    hidden = {name: d.absorbed for name, d in missing.causes.items()} if missing else {}
     chance = max(1.0 - sum(s.chance for s in (*causes, *apart)), LEAST_CHANCE)
     likely = sorted((s for s in causes if s.centre is not None and s.chance > OWN_FILTER), key=lambda s: -s.chance)
     alone = likely[:OWN_FILTERS]
@@ -280,11 +280,11 @@ def _where_present(s: CausePrior) -> list[Unknown]:
     return present if s.centre is None else [s.prior, *present[1:]]
 
 
-def _informed(s: CausePrior, seen: MissingCauses | None) -> CausePrior:
+def _informed(s: CausePrior, missing: MissingCauses | None) -> CausePrior:
     """Return a cause as the runs behind the model have it; as the catalogue has it where nobody has looked."""
-    if seen is None:
+    if missing is None:
         return s
-    earlier = seen.causes.get(s.effect)
+    earlier = missing.causes.get(s.effect)
     if earlier is None:
         return replace(s, chance=LEAST_CHANCE)
     known = earlier.parameters[s.parameter.partition(".")[2]]
@@ -293,9 +293,13 @@ def _informed(s: CausePrior, seen: MissingCauses | None) -> CausePrior:
     return replace(s, centre=known.value, sd=sd, width=least / sd, chance=max(earlier.chance, LEAST_CHANCE))
 
 
-def _gainsaid(effect: Effect, seen: MissingCauses | None) -> bool:
+def _contradicted(effect: Effect, missing: MissingCauses | None) -> bool:
     """Return whether earlier runs hold it likelier that a stated constant is off than that nothing is missing."""
-    return seen is not None and effect.name in seen.causes and seen.causes[effect.name].chance > seen.nothing
+    return (
+        missing is not None
+        and effect.name in missing.causes
+        and missing.causes[effect.name].chance > missing.nothing
+    )
 
 
 def _ruled_out(s: CausePrior) -> bool:

@@ -82,32 +82,32 @@ def replay(
         resin is given for a press without one.
     """
     unseen = {*hidden, *press.sensors_of(run, "validation")}
-    seen = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
-    _check(press, run, seen, asked=resin is not None)
+    columns = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
+    _check(press, run, columns, with_resin=resin is not None)
     sensor = LiveSensor(press, run.header, model, resin)
     estimates = []
     for i, time_s in enumerate(run.time_s.tolist()):
-        estimates.append(sensor.update(time_s, {name: values[i] for name, values in seen.items()}))
+        estimates.append(sensor.update(time_s, {name: values[i] for name, values in columns.items()}))
         progress(i + 1)
     return Replay(run, tuple(estimates), resin is not None)
 
 
-def _check(press: Press, run: Run, seen: Collection[str], *, asked: bool) -> None:
+def _check(press: Press, run: Run, columns: Collection[str], *, with_resin: bool) -> None:
     """Refuse what cannot be predicted; `asked`: cure and leave to open are wanted."""
     own = press_for_run(press, run)
     for end in ("bottom", "top"):
         boundary = getattr(own.boundary, end)
-        if boundary.kind == "measured" and boundary.column not in seen:
+        if boundary.kind == "measured" and boundary.column not in columns:
             raise InputError(
                 say(
                     "boundary-column-missing",
                     run=run.source or run.name,
                     column=str(boundary.column),
                     end=end,
-                    columns=tuple(seen),
+                    columns=tuple(columns),
                 )
             )
     if own.panel_layers:
         panel_of(run)
-    elif asked:
+    elif with_resin:
         raise InputError(at(run.source or run.name, say("resin-needs-panel")))

@@ -261,7 +261,7 @@ def _by_load(case: Case, build: Build, thermal: ThermalModel, values: Mapping[st
     if not case.press.load_references:
         return ByLoad(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
     loaded, logs = over_loads(case)
-    first, others = build.drive, thermal.build(loaded, values, build.asked.names).drive
+    first, others = build.drive, thermal.build(loaded, values, build.request.names).drive
     d_log = others.d_factor / others.factor[:, :, None] - first.d_factor / first.factor[:, :, None]
     return ByLoad(logs, np.log(others.factor / first.factor), d_log * units)
 

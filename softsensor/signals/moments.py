@@ -50,28 +50,29 @@ def moments_seen(run: Run, press: Press) -> Moments:
     """
     if not press.has_states:
         return Moments(inserted_s=float(run.time_s[0]))
-    seen, wired = find_moments(without_wires(run, press), press), find_moments(run, press)
+    by_faces, wired = find_moments(without_wires(run, press), press), find_moments(run, press)
     if not wired.source.is_wire:
-        return seen
+        return by_faces
     closed, opened = switch_of(run, press) or (_NEVER, _NEVER)
-    same = abs(seen.inserted_s - wired.inserted_s) < SAME_INSERTION_S and seen.inserted_s < wired.closed_s
-    opened_s = _between(seen.opened_s, opened, wired.opened_s)
-    removed_s = wired.removed_s if seen.removed_s < opened_s else seen.removed_s  # seen while the press eased off
+    same = abs(by_faces.inserted_s - wired.inserted_s) < SAME_INSERTION_S and by_faces.inserted_s < wired.closed_s
+    opened_s = _between(by_faces.opened_s, opened, wired.opened_s)
+    early = by_faces.removed_s < opened_s  # seen while the press eased off
+    removed_s = wired.removed_s if early else by_faces.removed_s
     return replace(
-        seen,
-        closed_s=_between(seen.closed_s, closed, wired.closed_s),
+        by_faces,
+        closed_s=_between(by_faces.closed_s, closed, wired.closed_s),
         opened_s=opened_s,
-        inserted_s=seen.inserted_s if same else wired.inserted_s,
+        inserted_s=by_faces.inserted_s if same else wired.inserted_s,
         removed_s=max(removed_s, opened_s),
     )
 
 
-def _between(seen: float, switched: tuple[float, float], wired: float) -> float:
+def _between(by_faces: float, switched: tuple[float, float], wired: float) -> float:
     """Return the middle of a moment seen and one switched, where they show one event; else the wire's."""
     first, gap = switched
     middle = first - gap / 2
-    if abs(seen - middle) < NEAR_S:
-        return (seen + middle) / 2
+    if abs(by_faces - middle) < NEAR_S:
+        return (by_faces + middle) / 2
     return middle if math.isfinite(middle) and gap <= SILENT_S else wired
 
 

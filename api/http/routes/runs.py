@@ -195,11 +195,11 @@ def _estimates(run: str, chosen: Sequence[tuple[float, StoredEstimate]], *, deci
     )
 
 
-def _file_tag(store: Store, record: RunRecord, asked: tuple[object, ...]) -> str:
+def _file_tag(store: Store, record: RunRecord, query: tuple[object, ...]) -> str:
     """Return the entity tag of a run file: the same as long as run, header and question are."""
     newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
     state = (installed_version(), record.run, record.first_scan, newest, str(record.status), record.moments)
-    return entity_tag(repr((*state, sorted(record.header.items()), record.remark, asked)).encode())
+    return entity_tag(repr((*state, sorted(record.header.items()), record.remark, query)).encode())
 
 
 def _file_response(run: Run, kind: Literal["csv", "parquet"], tag: str) -> FileResponse:

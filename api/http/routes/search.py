@@ -52,14 +52,14 @@ class Search:
 @router.get("/search", operation_id="search_runs", summary="Runs by words and numbers")
 def search_runs(
     store: StoreDep,
-    asked: Annotated[Search, Depends()],
+    query: Annotated[Search, Depends()],
     began: BeganDep,
     page: PageDep,
     where: Where = [],  # noqa: B006
 ) -> SearchList:
     """Return the runs for which all that is asked holds, with the numbers to compare them by."""
-    check_order(asked.sort)
+    check_order(query.sort)
     bounds = [Bound.parse(one) for one in where if one.strip()]
-    wanted = Wanted(asked.q.split(), bounds, asked.press, asked.status, *began.span, asked.verdict, asked.sort)
+    wanted = Wanted(query.q.split(), bounds, query.press, query.status, *began.span, query.verdict, query.sort)
     items, following = search_page(store, wanted, int(page.cursor or 0), page.limit)
     return SearchList(items=items, next_cursor=None if following is None else str(following))

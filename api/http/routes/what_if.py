@@ -60,14 +60,14 @@ def get_what_if(
     store: StoreDep,
     resins: ResinsDep,
     run: str,
-    asked: Annotated[Settings, Depends()],
+    query: Annotated[Settings, Depends()],
 ) -> WhatIfAnswer:
     """Return core, and with a resin file cure and steam, that other settings would give; without any, as it was.
 
     The same panel between platens that follow the press as they did: with its own coefficients, what the live
     sensor told of it, and a band of all else that is not known.
     """
-    settings = {name: value for name, value in asdict(asked).items() if value is not None}
+    settings = {name: value for name, value in asdict(query).items() if value is not None}
     return _worked_out(store, existing_run(store, run), resins, settings)
 
 
