@@ -22,7 +22,9 @@ from itertools import pairwise
 import numpy as np
 
 from daq.records import Array
+from softsensor.heat.timing import OPENING_RAMP_S
 from softsensor.signals.digest import Digest
+from softsensor.signals.instrument import RAMP_S
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -49,8 +51,12 @@ class ResidualPhase(StrEnum):
     OPENED = "opened"
 
 
-MARGINS_S = {ResidualPhase.OPEN: 0.3, ResidualPhase.CLOSED: 0.2, ResidualPhase.OPENED: 0.0}
-"""Bins so shortly before a phase ends may hold some of the next: half of a closing ramp of 0.6 s, or less. [s]"""
+MARGINS_S = {
+    ResidualPhase.OPEN: RAMP_S / 2.0,
+    ResidualPhase.CLOSED: OPENING_RAMP_S / 2.0,
+    ResidualPhase.OPENED: 0.0,
+}
+"""Bins so shortly before a phase ends may hold some of the next: half of a ramp of usual length. [s]"""
 
 
 def sign_patterns(runs: int) -> Array:

@@ -24,12 +24,13 @@ from softsensor.fitting.dependence import Dependence, Program, fit_dependence
 from softsensor.fitting.experiment_advice import Company
 from softsensor.fitting.identifiability import WIDE, LikelihoodProfile, is_verdict_on
 from softsensor.fitting.joint import fit_together
-from softsensor.fitting.population import SPREAD_RUNS, Population, information
+from softsensor.fitting.population import Population, information
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit, json_number, rounded
 from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.signals.instrument import SPREAD_RUNS
 from softsensor.signals.student import student
 from softsensor.signals.unknown import BAND, CENTRAL, FAR_LOG
 
@@ -163,7 +164,7 @@ class CampaignFit:
         """Return the model file of a typical run: medians, and what a run may differ by.
 
         A spread taken from few runs is itself in doubt: it counts by Student's 95 %, with what was known of it
-        before (`fitting.population.SPREAD_RUNS`) among its degrees of freedom.
+        before (`signals.instrument.SPREAD_RUNS`) among its degrees of freedom.
         """
         p = self.population
         wider = student(max(len(self.met), 1) - 1.0 + SPREAD_RUNS) / BAND

@@ -23,7 +23,6 @@ import numpy as np
 from daq.press.header import panel_of
 from daq.press.press_file import Press, Property
 from daq.records import Array, InputError, Run
-from softsensor.fitting.population import SPREAD_RUNS
 from softsensor.fitting.problem import (
     CONSTANT,
     FitProblem,
@@ -36,6 +35,7 @@ from softsensor.fitting.unknowns import nuisance
 from softsensor.heat.chain import Solution
 from softsensor.heat.model_file import ModelFile, Scatter
 from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Source, constant_doubts
+from softsensor.signals.instrument import SPREAD_RUNS
 from softsensor.signals.pressed import all_products, products
 from softsensor.signals.unknown import Unknown
 

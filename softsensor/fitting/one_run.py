@@ -39,7 +39,15 @@ from softsensor.fitting.simplex import lowest_point
 from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, known_before
 from softsensor.heat.model import NUISANCES, ThermalModel
 from softsensor.heat.timing import TIMINGS
-from softsensor.signals.instrument import CHANNEL_FAST_S, FACE_SLOW_K, FACE_SLOW_S, SECOND_SLOW_K, moment_sd
+from softsensor.signals.instrument import (
+    BEFORE_SWITCH_S,
+    CHANNEL_FAST_S,
+    FACE_SLOW_K,
+    FACE_SLOW_S,
+    RAMP_GONE_S,
+    SECOND_SLOW_K,
+    moment_sd,
+)
 from softsensor.signals.places import Noise, channel_noise, collect_signals, whiten
 
 FIRST_NOISE = Noise(slow_K=FACE_SLOW_K, slow_s=FACE_SLOW_S, fast_K=0.0, fast_s=CHANNEL_FAST_S, white_K=1.0)
@@ -66,8 +74,6 @@ TIMING_S, TIMING_ROWS, FIRST_TIMING_S = 0.005, 0.02, 0.05
 moments have been fitted. [s, rows, s]"""
 PLACED_ROWS, RELAID_S = 0.1, 0.1
 """How well a fitted moment is known, and how far it moves until the steps are laid anew. [rows, s]"""
-SWITCHING_S = (1.0, 1.5)
-"""Before and after a switch no row shows the slow noise: the model's ramps are not the press's. [s]"""
 
 
 def fit_run(
@@ -301,7 +307,7 @@ def _thin(problem: FitProblem) -> Array:
     use = problem.rows > 0
     for moment in (moments.closed_s, moments.opened_s):
         if np.isfinite(moment):
-            use &= (t < moment - SWITCHING_S[0]) | (t > moment + SWITCHING_S[1])
+            use &= (t < moment - BEFORE_SWITCH_S) | (t > moment + RAMP_GONE_S)
     rows = np.flatnonzero(use)
     step = max(1, round(1.0 / problem.signals.period_s), len(rows) // 400)
     return np.asarray(rows[::step])

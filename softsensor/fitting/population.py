@@ -24,10 +24,8 @@ from softsensor.fitting.problem import (
     inverse,
     normal_equations,
 )
-from softsensor.signals.instrument import SPREAD_LOG
+from softsensor.signals.instrument import SPREAD_LOG, SPREAD_RUNS
 
-SPREAD_RUNS = 2.0
-"""How many runs the spread known beforehand counts for. By hand."""
 SAME_SPREAD = 1e-3
 """Spread of a coefficient that all runs share: none that matters."""
 ITERATIONS = 200

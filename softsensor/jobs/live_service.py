@@ -42,7 +42,7 @@ from softsensor.live.leaving import Leave
 from softsensor.live.panels import panel_remark
 from softsensor.live.sensor import Estimate, LiveSensor
 from softsensor.live.validity import Invalid, InvalidReason
-from softsensor.signals.screen import AFTER_SWITCH_S
+from softsensor.signals.instrument import LAG_GONE_S
 
 LOG = logging.getLogger("kerntemp.sense")
 
@@ -423,7 +423,7 @@ class Follower:
         live.departs_since = {column: live.departs_since.get(column, time_s) for column in now}
         for column, kelvin in now.items():
             departure = (live.record.run, column)
-            if time_s - live.departs_since[column] > AFTER_SWITCH_S and departure not in self._departed:
+            if time_s - live.departs_since[column] > LAG_GONE_S and departure not in self._departed:
                 side = "below" if kelvin < 0.0 else "above"
                 message = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
                 self._pending.add(("warning", message))

@@ -18,7 +18,7 @@ from softsensor.diagnosis.missing_causes import stored_missing_causes
 from softsensor.fitting.constants import THICKNESS, ConstantFit, with_constants_of
 from softsensor.heat.model_file import FittedValue, ModelFile, SisterScatter
 from softsensor.live.priors import spread_of
-from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LOG
+from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LOG, SPREAD_RUNS
 from softsensor.signals.pressed import all_products, products
 
 PRESS_FILE = "press file"
@@ -30,9 +30,6 @@ NEWEST_RUNS = 12
 """Older runs say little about today's press."""
 PRESSED_RUNS = 200
 """So many runs say which panels a press has: weeks of a busy one, and one page of the store."""
-SPREAD_RUNS = 4.0
-"""How many runs the scatter known beforehand counts for in the live sensor. A campaign's own fit takes two
-(`fitting.population`): it only sees the runs it has, and the live band must hold in the next."""
 MODEL_RUNS = 8.0
 """How many runs a promoted model counts for."""
 

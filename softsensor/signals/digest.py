@@ -27,7 +27,15 @@ from daq.words import say
 from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel
-from softsensor.signals.instrument import FACE_SLOW_S, INSERTED_S, MEAN_FAST_S, SCAN_LATE_S, SCAN_SKEW_S
+from softsensor.signals.instrument import (
+    FACE_SLOW_S,
+    INSERTED_S,
+    MEAN_FAST_S,
+    RAMP_S,
+    RAMPS_S,
+    SCAN_LATE_S,
+    SCAN_SKEW_S,
+)
 from softsensor.signals.moments import Switch, moments_seen, switch_of
 from softsensor.signals.places import Place
 from softsensor.signals.screen import ChannelFault, faces_of, faulty_channels
@@ -42,8 +50,10 @@ SAMPLES = 4
 """The model is read at up to so many times within a bin."""
 MEAN_OFFSET_K = 0.1
 """Error of a place's mean that its channels' scatter does not show: they share a face and a logger. [K]"""
-BEFORE_REMOVAL_S, SWITCHING_S = 0.3, 0.5
-"""Left out before the panel's removal; and around closing and opening, bins of their own. [s]"""
+SWITCHING_S = RAMPS_S[1] / 2.0
+"""Around closing and opening, bins of their own: half of the longest ramp. [s]"""
+BEFORE_REMOVAL_S = RAMP_S / 2.0
+"""Left out before the panel's removal, whose moment is known no better. [s]"""
 MOST_BINS, LAST_BIN = 120.0, 1.6
 """A long run's widest bins would be so many; what is left before a switch is one bin up to so many widths."""
 PLAIN_K = 0.1

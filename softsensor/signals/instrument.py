@@ -38,12 +38,13 @@ PLATEN_TOTAL_K = math.hypot(PLATEN_K, PLATEN_CLASS_K)
 """Both together: all a platen channel may be off. The live sensor's number, whose band must hold in a run. [K]"""
 CHANNEL_WHITE_K = 0.07
 """White noise of one reading of a panel channel: a logger's step of 0.1 K (0.03) and its own 0.05 to 0.1. [K]"""
-FACE_SLOW_K, FACE_SLOW_S = 0.15, 30.0
-"""Error that all channels of a face share, and how fast it is forgotten: 0.1 to 0.2 K over about half a minute.
-The live sensor takes them as they are; for the fit they stand until it estimates its own, about them as a prior.
-[K, s]"""
-SECOND_SLOW_K = 0.2
-"""The same for a fit's second search, before it estimates the slow noise: the upper end of that range. [K]
+FACE_SLOW_LIMITS_K, FACE_SLOW_S = (0.1, 0.2), 30.0
+"""Error that all channels of a face share, and how fast it is forgotten. [K, s]"""
+FACE_SLOW_K = sum(FACE_SLOW_LIMITS_K) / 2.0
+"""Its middle. The live sensor takes it as it is; for the fit it stands until it estimates its own, about it as a
+prior. [K]"""
+SECOND_SLOW_K = FACE_SLOW_LIMITS_K[1]
+"""The same for a fit's second search, before it estimates the slow noise: the upper end. [K]
 
 Only where a hidden cause leaves kelvins over does it matter, which there decides between two minima: with
 `FACE_SLOW_K` two lagging runs of the reference answers no longer converged (2026-11-22)."""
@@ -73,8 +74,16 @@ SWITCH_S = 0.06
 """How far a limit switch may lie off the middle of the ramp, beyond the scan it is known to. [s]
 
 It trips somewhere in a ramp of 0.2 to 1 s near its end; by hand, 2026-11."""
-RAMP_S, RAMP_SD_S, RAMP_LIMITS_S = 0.6, 0.8 / 12**0.5, (0.1, 1.2)
-"""How long closing takes: mean and deviation of 0.2 to 1 s (contract, section 2), limits beyond. [s]"""
+RAMPS_S, RAMP_LIMITS_S = (0.2, 1.0), (0.1, 1.2)
+"""How long closing takes (contract, section 2), and limits beyond. [s]"""
+RAMP_S, RAMP_SD_S = sum(RAMPS_S) / 2.0, (RAMPS_S[1] - RAMPS_S[0]) / 12**0.5
+"""Its mean and deviation, all lengths alike. [s]"""
+BEFORE_SWITCH_S, RAMP_GONE_S = 1.0, 1.5
+"""From before a closing or opening to after it what a fit leaves shows no noise: the model's ramps are not the
+press's. By hand, 2026-11; twice as long after it, h_p_o of sample run 7 moves by 0.8 standard deviations. [s]"""
+LAG_GONE_S = 3.0
+"""After it channels of one face differ by how late they are: three time constants of a slow one's second (facts,
+physics.md, section 7). [s]"""
 SCAN_LATE_S, SCAN_LATE_ROWS, SCAN_APART_ROWS = 0.02, 0.07, 0.12
 """How late panel channels are read: at least, and per row all of them, and one face after the other. [s, rows]
 
@@ -100,12 +109,12 @@ GUESS_LOG = 0.7
 """Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two. By hand."""
 SPREAD_LOG = 0.15
 """Of the logarithm of a coefficient from pressing to pressing, before runs have shown it: 12 to 30 % were seen."""
+SPREAD_RUNS = 2.0
+"""How many runs that counts for beside those that show it. By hand."""
 FREE_SPREAD_LOG = 0.4
-"""The same for the diagnosis' first fit, wider than what was seen so that it is free. By hand, 2026-11."""
-SEEN_SPREAD_LOG = 0.12
-"""The same at least in a diagnosis, whatever its runs show: the least of what was seen."""
+"""The spread in the diagnosis' first fit, wider than what was seen so that it is free. By hand, 2026-11."""
 LEAST_SPREAD_LOG = 0.05
-"""The same at least for fits and live sensor, whatever a few runs show: smaller scatter is luck. By hand."""
+"""The same at least, whatever a few runs show: smaller scatter is luck. By hand."""
 
 
 def scan_sd(period_s: float) -> float:

@@ -20,6 +20,7 @@ from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from daq.words import Message, say
 from softsensor.effects.vocabulary import place_words
+from softsensor.signals.instrument import BEFORE_SWITCH_S, LAG_GONE_S
 from softsensor.signals.robust import nan_median
 
 Flags = NDArray[np.bool_]
@@ -44,8 +45,6 @@ KINK_SHARE = 0.15
 """A channel drifts where a level and one straight line leave less than this share of its departure."""
 RECURRING = 0.5
 """Share of runs from which a channel's fault belongs to the press and not to a mishap of one run."""
-BEFORE_SWITCH_S, AFTER_SWITCH_S = 1.0, 3.0
-"""About a switch channels may differ for reasons of timing. [s]"""
 LEAST_ROWS, LEAST_SHARE = 3, 0.05
 """A channel with fewer values, or values in fewer of the rows, is empty."""
 
@@ -116,7 +115,7 @@ def quiet_rows(time_s: Array, moments: Moments) -> Flags:
     quiet = np.ones(len(time_s), dtype=bool)
     for moment in (moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s):
         if np.isfinite(moment):
-            quiet &= (time_s < moment - BEFORE_SWITCH_S) | (time_s > moment + AFTER_SWITCH_S)
+            quiet &= (time_s < moment - BEFORE_SWITCH_S) | (time_s > moment + LAG_GONE_S)
     for moment, before in ((moments.inserted_s, True), (moments.removed_s, False)):
         if np.isfinite(moment):
             quiet &= (time_s > moment) if before else (time_s < moment)
