@@ -78,6 +78,24 @@ def test_the_card_refuses_and_doubts_by_the_names_of_its_fields(
     page.screenshot(path=tmp_path / "card.png", full_page=True)
 
 
+def test_what_is_typed_of_the_next_panel_stays_when_the_live_connection_comes(served):
+    """It comes once the page is there, and again after each time that it was lost."""
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=30, batch=10)
+    held = []
+    page.route("**/api/v1/live*", lambda route: held.append(route))
+    page.goto(server.url + "#/now")
+    material = page.get_by_test_id("next-panel").get_by_label("Material")
+    material.fill("MDF")
+    expect(page.locator(".u-wrap").first).to_be_visible()
+    before = page.locator(".u-wrap").first.element_handle()
+    held.pop().continue_()
+    expect(page.get_by_text("live", exact=True)).to_be_visible()
+    page.wait_for_function("curves => !curves.isConnected", arg=before)  # drawn again
+    expect(material).to_have_value("MDF")
+
+
 def test_a_limit_of_drift_tells_what_the_control_chart_tells_from_that_size_on(served, write, tmp_path):
     server, feed, page = served
     began, one = datetime(2026, 3, 4, tzinfo=UTC), {"top_1": np.ones(2)}

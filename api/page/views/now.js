@@ -46,11 +46,13 @@ class LivePress {
       this.now = items.find((item) => item.press === this.context.press) ?? items[0] ?? null;
       if (this.closed) return;
       if (!this.now) {
+        this.panel = null;
         this.place.replaceChildren(el("div", { class: "card empty" }, el("h1", {}, text("page-no-press")), el("p", {}, text("page-no-press-hint"))));
         return;
       }
       this.hear();
-      this.frame();
+      if (this.panel?.press === this.now.press) this.refresh(); // what somebody has begun to type there stays
+      else this.frame();
       await this.loadRun(this.now.run);
     } finally {
       this.loading = false;
@@ -67,8 +69,7 @@ class LivePress {
       if (this.closed) return;
       this.now = fresh;
       this.hear();
-      this.facts();
-      this.tiles();
+      this.refresh();
       if (fresh.run !== this.shown) await this.loadRun(fresh.run);
     } catch { /* the link state says it */ }
   }
@@ -105,6 +106,10 @@ class LivePress {
       this.panels = el("div", { class: "pair" }),
       el("section", { class: "card" }, el("h2", {}, text("page-channels")), this.grid));
     this.panel = new PanelCards(this.panels, this.now.press);
+    this.refresh();
+  }
+
+  refresh() {
     this.facts();
     this.tiles();
   }
