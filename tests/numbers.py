@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 REMARK = re.compile(r"\b(?:by hand|unverified|assumed)\b", re.IGNORECASE)
@@ -57,9 +57,7 @@ def numbers_in(path: Path) -> Iterator[tuple[str, ast.expr, int, str]]:
     for node, after in zip(body, [*body[1:], None], strict=False):
         if not isinstance(node, ast.Assign) or not is_number(node.value):
             continue
-        said = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
-        above, own = lines[node.lineno - 2], lines[node.lineno - 1].partition("#")[2]
-        words = str(said) + own + (above if above.startswith("#") else "")
+        words = _words(node, after, lines)
         for target in node.targets:
             ones = target.elts if isinstance(target, ast.Tuple) else [target]
             several = len(ones) > 1 and isinstance(node.value, ast.Tuple)
@@ -78,6 +76,60 @@ def numbers_of(path: Path) -> Iterator[tuple[str, ast.expr]]:
     for name, value, line, words in numbers_in(path):
         if REMARK.search(words) or (line > below and not SOURCE.search(words)):
             yield name, value
+
+
+def numbers_elsewhere(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield name and line of each other number that was set by hand: in a table, a field or an argument's default.
+
+    A table or a formula counts once, by the rule of `numbers_of`; a call within it that has a source of its own
+    counts by that instead. Of fields and defaults those count that have no words at all, too. Only numbers with a
+    point are meant, and none of `PLAIN` or `GUARD`.
+    """
+    text = path.read_text(encoding="utf-8")
+    lines, tree = text.split("\n"), ast.parse(text)
+    below = text.count("\n", 0, found.start()) if (found := REMARK_OF_MODULE.search(text)) else math.inf
+    for owner in (tree, *(node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))):
+        within = owner.name + "." if isinstance(owner, ast.ClassDef) else ""
+        for node, after in zip(owner.body, [*owner.body[1:], None], strict=False):
+            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+                continue
+            if isinstance(node, ast.Assign) and not within and is_number(node.value):
+                continue  # `numbers_of` has it
+            name = within + ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
+            sourced = {n: s for n in ast.walk(node.value) if isinstance(n, ast.Call) and (s := _source_of(n))}
+            yield from ((name, n.lineno) for n, s in sourced.items() if REMARK.search(s) and _bare(n, sourced))
+            words = _words(node, after, lines)
+            by_hand = REMARK.search(words) or (node.lineno > below and not SOURCE.search(words))
+            if node.value in sourced or not _bare(node.value, sourced):
+                continue
+            if by_hand or (within and not words.strip()):
+                yield name, node.lineno
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            given = (*node.args.defaults, *node.args.kw_defaults)
+            yield from ((f"{node.name}()", default.lineno) for default in given if default and _bare(default, {}))
+
+
+def _source_of(call: ast.Call) -> str:
+    """Return what a call says in ``source=``, its texts put together."""
+    return " ".join(ast.unparse(keyword.value) for keyword in call.keywords if keyword.arg == "source")
+
+
+def _words(node: ast.stmt, after: ast.stmt | None, lines: list[str]) -> str:
+    """Return what stands of a statement in the docstring below it, in its comment and in one above it."""
+    said = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+    above, own = lines[node.lineno - 2], lines[node.lineno - 1].partition("#")[2]
+    return str(said) + own + (above if above.lstrip().startswith("#") else "")
+
+
+def _bare(value: ast.AST, sourced: Container[ast.AST]) -> bool:
+    """Say whether a number stands in an expression, calls within it that have a source of their own aside."""
+    if isinstance(value, ast.Constant):
+        return isinstance(value.value, float) and value.value not in PLAIN and value.value > GUARD
+    inner = [n for n in ast.iter_child_nodes(value) if n not in sourced]
+    if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Mult | ast.Div):
+        inner = [n for n in inner if not (isinstance(n, ast.Constant) and n.value in OF_UNITS)]
+    return any(_bare(n, sourced) for n in inner)
 
 
 def numbers_in_functions(path: Path) -> Iterator[tuple[float, int]]:

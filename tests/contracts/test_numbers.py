@@ -4,22 +4,26 @@ from pathlib import Path
 
 import pytest
 
-from tests.numbers import DRAWING, numbers_in, numbers_in_functions, numbers_of
+from tests.numbers import DRAWING, numbers_elsewhere, numbers_in, numbers_in_functions, numbers_of
 
 ROOT = Path(__file__).parents[2]
-BY_HAND = {"softsensor": 516, "daq": 200, "api": 22}
+BY_HAND = {"softsensor": 540, "daq": 215, "api": 22}
 """How many were set by hand or stand bare in a function, the virtual press and what draws aside (2026-11-25): to
 be lowered, never raised. Of softsensor 464 until 2026-11-27: since, what is called assumed or unverified counts,
-and 44 have the remark that had neither it nor a source."""
+and 44 have the remark that had neither it nor a source. Tables, formulas, fields and arguments' defaults count
+since then too: 24 of softsensor and 15 of daq, none of them new."""
 
 
 def sources(package):
     return [path for path in sorted((ROOT / package).rglob("*.py")) if "simulated" not in path.parts]
 
 
-def in_functions(path):
-    drawn = path.relative_to(ROOT).as_posix().startswith(DRAWING)
-    return [] if drawn else [f"{value} in line {line}" for value, line in numbers_in_functions(path)]
+def beside(path):
+    """Say which numbers stand anywhere but by themselves in a module."""
+    if path.relative_to(ROOT).as_posix().startswith(DRAWING):
+        return []
+    found = (*numbers_in_functions(path), *numbers_elsewhere(path))
+    return [f"{what} in line {line}" for what, line in found]
 
 
 @pytest.mark.parametrize("package", BY_HAND)
@@ -27,7 +31,7 @@ def test_no_number_is_set_by_hand_that_was_not_before(package):
     found = [
         f"{path.relative_to(ROOT)}: {name}"
         for path in sources(package)
-        for name in (*(name for name, _ in numbers_of(path)), *in_functions(path))
+        for name in (*(name for name, _ in numbers_of(path)), *beside(path))
     ]
     assert len(found) <= BY_HAND[package], f"give a source, or the calibration that set it: {found}"
 
@@ -45,6 +49,29 @@ def heat(t_ms, k=3.25):
 """
     (tmp_path / "one.py").write_text(text)
     assert sorted(numbers_in_functions(tmp_path / "one.py")) == [(0.7, 9), (60.0, 7), (365.0, 8)]
+
+
+def test_numbers_of_tables_fields_and_defaults_count_and_those_with_a_source_do_not(tmp_path):
+    text = """
+RATE: float = 7.5
+'''By hand.'''
+# Numbers without another source were set by hand.
+GRID = {"coarse": (3.5, 4)}
+WOOD = {"k": 0.12}
+'''Wood Handbook.'''
+HALF = 0.5 * RATE / 60.0
+EFFECT = make(size=12.0, part=make(size=3.5, source="assumed"), source="Carslaw, Jaeger")
+
+class Filter:
+    misfit: float = 0.3
+    share: float = 0.0
+    rows: int = 7
+
+def step(t, tolerance=0.3, *, most=5, least: float = 1e-9): ...
+"""
+    (tmp_path / "one.py").write_text(text)
+    found = [("RATE", 2), ("GRID", 5), ("EFFECT", 9), ("Filter.misfit", 12), ("step()", 16)]
+    assert sorted(numbers_elsewhere(tmp_path / "one.py"), key=lambda one: one[1]) == found
 
 
 @pytest.mark.parametrize("package", BY_HAND)
