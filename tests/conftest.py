@@ -39,9 +39,9 @@ def pytest_runtest_makereport():
     """Let no missing part pass where KERNTEMP_ALL_PARTS says that all are there, as CI does."""
     report = yield
     if report.skipped and not hasattr(report, "wasxfail") and os.environ.get("KERNTEMP_ALL_PARTS"):
-        said = report.longrepr[2].removeprefix("Skipped: ")
-        if not said.startswith(NO_PARTS):
-            report.outcome, report.longrepr = "failed", f"skipped where no part may be missing: {said}"
+        reason = report.longrepr[2].removeprefix("Skipped: ")
+        if not reason.startswith(NO_PARTS):
+            report.outcome, report.longrepr = "failed", f"skipped where no part may be missing: {reason}"
     return report
 
 

@@ -51,9 +51,9 @@ def _begun(number: int) -> str:
         return ""
 
 
-def _alive(mark: str, told: dict[int, str]) -> list[int]:
+def _alive(mark: str, begun_at: dict[int, str]) -> list[int]:
     """Return the processes that bear a mark, and of those told the ones that are still the same."""
-    found = [number for number, begun in told.items() if _begun(number) == begun]
+    found = [number for number, begun in begun_at.items() if _begun(number) == begun]
     for place in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             if f"{mark}=".encode() in (place / "environ").read_bytes():
@@ -72,8 +72,8 @@ def main() -> None:
     """Wait for the end of pytest, then end what is left, until a look round finds nothing."""
     for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ending, signal.SIG_IGN)
-    told = {int(line.split()[0]): line.split()[1] for line in sys.stdin}
-    while left := _alive(sys.argv[1], told):
+    begun_at = {int(line.split()[0]): line.split()[1] for line in sys.stdin}
+    while left := _alive(sys.argv[1], begun_at):
         for number in left:
             with contextlib.suppress(OSError):
                 os.kill(number, signal.SIGKILL)

@@ -212,8 +212,8 @@ def write(folder: Path, inputs: Path, only: tuple[str, ...], quick: bool, jobs: 
     before = _about(folder)
     there = [kind for kind in only if (folder / kind).exists()]
     if there or (before["kinds"] and before["quick"] != quick):
-        told = f"{', '.join(there)} is there already" if there else "its answers are of the other kind of --quick"
-        print(f"{folder}: {told}; give a new folder, so that no old answer stays in it", file=sys.stderr)
+        text = f"{', '.join(there)} is there already" if there else "its answers are of the other kind of --quick"
+        print(f"{folder}: {text}; give a new folder, so that no old answer stays in it", file=sys.stderr)
         return 2
     folder, inputs = folder.resolve(), inputs.resolve()
     asked = [case for case in cases(inputs) if case.kind in only and (case.quick or not quick)]
@@ -243,8 +243,8 @@ def write(folder: Path, inputs: Path, only: tuple[str, ...], quick: bool, jobs: 
 
 def _about(folder: Path) -> dict[str, Any]:
     if (folder / ABOUT).is_file():
-        told: dict[str, Any] = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-        return told
+        written: dict[str, Any] = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+        return written
     return {"kinds": [], "quick": False, "files": [], "seconds": 0.0, "took_s": {}}
 
 
@@ -264,14 +264,14 @@ def _run(case: Case, folder: Path, inputs: Path) -> tuple[str, float]:
             timeout=LONGEST_S,
             check=False,
         )
-        status, said, complained = done.returncode, done.stdout, done.stderr
+        status, output, complained = done.returncode, done.stdout, done.stderr
     except subprocess.TimeoutExpired:
-        status, said, complained = -1, "", f"killed after {LONGEST_S:g} s"
+        status, output, complained = -1, "", f"killed after {LONGEST_S:g} s"
 
     def lines(text: str) -> list[str]:
         return text.replace(str(folder), "DIR").replace(str(inputs), "INPUTS").splitlines()
 
-    answer = {"status": status, "said": lines(said), "complained": lines(complained)}
+    answer = {"status": status, "said": lines(output), "complained": lines(complained)}
     answer["written"] = sum(path.exists() for _, path in outputs)
     Path(f"{stem}.said.json").write_text(json.dumps(answer, indent=1, ensure_ascii=False), encoding="utf-8")
     seconds = time.monotonic() - began
@@ -280,8 +280,8 @@ def _run(case: Case, folder: Path, inputs: Path) -> tuple[str, float]:
 
 
 def _commit() -> str:
-    told = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
-    return told.stdout.strip()
+    done = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    return done.stdout.strip()
 
 
 # ----------------------------------------------------------------------------------------------------------- REST
@@ -455,9 +455,9 @@ def _outline(schema: dict[str, Any]) -> dict[str, Any]:
     """Return of an OpenAPI document paths, methods and the names of parameters."""
     paths = {
         path: {
-            method: {p["name"]: p["in"] for p in told.get("parameters", ())}
-            for method, told in methods.items()
-            if isinstance(told, dict)
+            method: {p["name"]: p["in"] for p in operation.get("parameters", ())}
+            for method, operation in methods.items()
+            if isinstance(operation, dict)
         }
         for path, methods in schema["paths"].items()
     }
@@ -553,14 +553,15 @@ class Verdict:
 
 def compare(old: Path, new: Path, rtol: float, atol: float, shown: int) -> int:
     """Print one table over all answers; return 1 where an answer is another one."""
-    told = {path: json.loads((path / ABOUT).read_text(encoding="utf-8")) for path in (old, new)}
-    names = set(told[old]["files"]) if not told[new]["quick"] else set(told[new]["files"])
-    names = {name for name in names if name.partition("/")[0] in told[new]["kinds"]}
-    if told[old]["quick"]:
-        names &= set(told[old]["files"])
-    surplus = set(told[new]["files"]) - set(told[old]["files"])
+    written = {path: json.loads((path / ABOUT).read_text(encoding="utf-8")) for path in (old, new)}
+    names = set(written[old]["files"]) if not written[new]["quick"] else set(written[new]["files"])
+    names = {name for name in names if name.partition("/")[0] in written[new]["kinds"]}
+    if written[old]["quick"]:
+        names &= set(written[old]["files"])
+    surplus = set(written[new]["files"]) - set(written[old]["files"])
     verdicts = [_compare_file(old, new, name, rtol, atol) for name in sorted(names)]
-    print(f"old {old} ({told[old]['commit']})   new {new} ({told[new]['commit']})   rtol {rtol:g}   atol {atol:g}")
+    before, after = (f"{one} ({written[one]['commit']})" for one in (old, new))
+    print(f"old {before}   new {after}   rtol {rtol:g}   atol {atol:g}")
     width = max((len(v.file) for v in verdicts), default=4)
     print(f"{'file':{width}} {'values':>8} {'beyond':>6} {'texts':>5} {'added':>5}  worst difference")
     for v in verdicts:
@@ -569,7 +570,7 @@ def compare(old: Path, new: Path, rtol: float, atol: float, shown: int) -> int:
         print(f"{row} {mark}{v.worst_told or '-'}")
     _print_more(verdicts, shown)
     wrong = [v for v in verdicts if v.broken]
-    if left := len(set(told[old]["files"]) - names):
+    if left := len(set(written[old]["files"]) - names):
         print(f"{left} files of the old answers were not asked of the new code (--only, --quick)")
     if surplus:
         print(f"{len(surplus)} files only the new answers have: {', '.join(sorted(surplus)[:5])}")

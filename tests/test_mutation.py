@@ -40,9 +40,9 @@ def test_a_judged_mutant_was_killed_by_a_test_that_is_there_or_lives_for_a_reaso
 
 def test_nine_of_ten_judged_mutants_that_mean_something_are_killed(capsys):
     assert main(["--table"]) == 0
-    told = {line[:12].strip(): line.split() for line in capsys.readouterr().out.splitlines()}
-    assert set(ROOMS) <= set(told)
-    assert int(told["all"][-1].removesuffix("%")) >= 90
+    rows = {line[:12].strip(): line.split() for line in capsys.readouterr().out.splitlines()}
+    assert set(ROOMS) <= set(rows)
+    assert int(rows["all"][-1].removesuffix("%")) >= 90
 
 
 @pytest.mark.campaign

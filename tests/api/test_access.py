@@ -106,19 +106,19 @@ def fill(path):
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), Path.mkdir, fill])
 def test_what_is_no_file_of_tokens_holds_up_nobody(tmp_path, make):
     """A server that waits for a pipe, or reads without end, answers nobody any more."""
-    own, told = TokenFile(tmp_path / "tokens.json"), []
+    own, found = TokenFile(tmp_path / "tokens.json"), []
 
     def ask():
         try:
             own.find("kt_any")
         except InputError as error:
-            told.append(str(error))
+            found.append(str(error))
 
     make(own.path)
     asking = threading.Thread(target=ask, daemon=True)
     asking.start()
     asking.join(240.0)
-    assert ["remove the file and make new ones" in one for one in told] == [True]
+    assert ["remove the file and make new ones" in one for one in found] == [True]
 
 
 def test_a_foreign_host_name_is_refused_so_that_no_other_page_reads_along(client):
@@ -191,7 +191,7 @@ def test_two_tokens_of_one_name_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         (b"[\n\xff]", "Zeile 2: kein UTF-8-Text"),
         (b"[\n{", "unverständlich ab Zeile 2, Spalte 2"),
@@ -203,11 +203,11 @@ def test_two_tokens_of_one_name_are_refused(tmp_path):
         (b" " * (LARGEST_BYTES + 1), "keine Datei von Zugangstoken"),
     ],
 )
-def test_what_is_wrong_with_the_file_of_tokens_is_said_in_one_language(tmp_path, text, said):
+def test_what_is_wrong_with_the_file_of_tokens_is_said_in_one_language(tmp_path, text, expected):
     (tmp_path / "tokens.json").write_bytes(text)
     with pytest.raises(InputError) as refused:
         TokenFile(tmp_path / "tokens.json").tokens()
-    assert said in words(spoken(refused.value), "de")
+    assert expected in words(spoken(refused.value), "de")
 
 
 def test_waiting_a_minute_lets_an_address_try_again():

@@ -19,29 +19,34 @@ def estimate(state: str = "closed", **beside: Any) -> EstimateNow:
 
 
 def ahead(**changed: float | None) -> dict[str, float | None]:
-    told: dict[str, float | None] = {"open_in_s": 11.0, "target_in_s": 26.0, "forecast_age_s": 1.0}
-    return {**told, "target_earliest_s": 23.0, "target_latest_s": 30.0, **changed}
+    forecast: dict[str, float | None] = {"open_in_s": 11.0, "target_in_s": 26.0, "forecast_age_s": 1.0}
+    return {**forecast, "target_earliest_s": 23.0, "target_latest_s": 30.0, **changed}
 
 
 def test_the_opening_has_the_width_of_the_time_at_which_the_target_is_reached():
-    said = advice_of(estimate(**ahead()), 40.0)
-    assert (said.verdict, said.open_in_s, said.open_earliest_s, said.open_latest_s) == ("open_in", 11.0, 8.0, 15.0)
-    assert said.sentence == "open in 11 s (8 to 15)"
+    advice = advice_of(estimate(**ahead()), 40.0)
+    assert (advice.verdict, advice.open_in_s, advice.open_earliest_s, advice.open_latest_s) == (
+        "open_in",
+        11.0,
+        8.0,
+        15.0,
+    )
+    assert advice.sentence == "open in 11 s (8 to 15)"
 
 
 def test_a_panel_with_enough_heat_is_to_be_opened_now_and_nothing_else_is_said():
-    said = advice_of(estimate(**ahead(open_in_s=0.0)), 40.0)
-    assert (said.verdict, said.sentence) == ("open_now", "OPEN NOW")
+    advice = advice_of(estimate(**ahead(open_in_s=0.0)), 40.0)
+    assert (advice.verdict, advice.sentence) == ("open_now", "OPEN NOW")
 
 
 def test_without_a_latest_moment_none_is_made_up():
-    said = advice_of(estimate(**ahead(target_latest_s=None)), 40.0)
-    assert said.open_latest_s is None
-    assert said.sentence == "open in 11 s (8 or later)"
+    advice = advice_of(estimate(**ahead(target_latest_s=None)), 40.0)
+    assert advice.open_latest_s is None
+    assert advice.sentence == "open in 11 s (8 or later)"
 
 
 @pytest.mark.parametrize(
-    ("said", "verdict"),
+    ("estimate_now", "verdict"),
     [
         (estimate(**ahead(open_in_s=None, target_in_s=None)), "too_early"),
         (estimate(**ahead(forecast_age_s=22.0)), "not_known"),
@@ -52,21 +57,21 @@ def test_without_a_latest_moment_none_is_made_up():
         (None, "not_known"),
     ],
 )
-def test_what_is_not_foreseen_is_not_advised(said, verdict):
-    found = advice_of(said, 40.0)
+def test_what_is_not_foreseen_is_not_advised(estimate_now, verdict):
+    found = advice_of(estimate_now, 40.0)
     assert (found.verdict, found.open_in_s) == (verdict, None)
 
 
 def test_an_old_look_ahead_is_no_advice_and_says_how_old_it_is():
-    said = advice_of(estimate(**ahead(forecast_age_s=22.0)), 40.0)
-    assert said.sentence == "not known, because the last forecast is 22 s old"
+    advice = advice_of(estimate(**ahead(forecast_age_s=22.0)), 40.0)
+    assert advice.sentence == "not known, because the last forecast is 22 s old"
 
 
 def test_times_count_from_now_and_a_look_ahead_ages_with_its_estimate():
-    said = advice_of(estimate(**ahead(), age_s=4.0), 40.0)
-    assert (said.open_in_s, said.open_earliest_s, said.open_latest_s, said.age_s) == (7.0, 4.0, 11.0, 5.0)
-    said = advice_of(estimate(**ahead(), age_s=4.5), 40.0)
-    assert said.sentence == "not known, because the last forecast is 6 s old"
+    advice = advice_of(estimate(**ahead(), age_s=4.0), 40.0)
+    assert (advice.open_in_s, advice.open_earliest_s, advice.open_latest_s, advice.age_s) == (7.0, 4.0, 11.0, 5.0)
+    advice = advice_of(estimate(**ahead(), age_s=4.5), 40.0)
+    assert advice.sentence == "not known, because the last forecast is 6 s old"
 
 
 @pytest.mark.parametrize("age_s", [5.1, -5.1, None])
@@ -81,16 +86,16 @@ def test_without_a_target_there_is_none_to_open_for():
 
 
 def test_the_opened_press_tells_the_peak_still_ahead():
-    said = advice_of(estimate("open", peak_C=43.2, forecast_age_s=0.4), 40.0, opened_s=70.0)
-    assert (said.verdict, said.peak_C, said.sentence) == ("opened", 43.2, "opened, the core peaks at 43 °C")
-    assert math.isclose(said.age_s or math.nan, 0.4)
+    advice = advice_of(estimate("open", peak_C=43.2, forecast_age_s=0.4), 40.0, opened_s=70.0)
+    assert (advice.verdict, advice.peak_C, advice.sentence) == ("opened", 43.2, "opened, the core peaks at 43 °C")
+    assert math.isclose(advice.age_s or math.nan, 0.4)
 
 
 def test_the_line_on_the_wall_speaks_german():
     from daq.words import Message
 
-    said = advice_of(estimate(**ahead()), 40.0).sentence_said
-    assert words(Message(said.code, said.arguments), "de") == "öffnen in 11 s (8 bis 15)"
+    advice = advice_of(estimate(**ahead()), 40.0).sentence_said
+    assert words(Message(advice.code, advice.arguments), "de") == "öffnen in 11 s (8 bis 15)"
 
 
 CURED = {"cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s": 1.0}
@@ -110,12 +115,12 @@ CURED = {"cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s"
     ],
 )
 def test_with_a_resin_its_limits_alone_decide(beside, verdict, sentence):
-    said = advice_of(estimate(**{**ahead(), **CURED, **beside}), 40.0)
-    assert said.verdict == verdict
-    assert sentence in (None, said.sentence)
-    assert (said.open_in_s is None) == (verdict not in ("open_in", "open_now"))
+    advice = advice_of(estimate(**{**ahead(), **CURED, **beside}), 40.0)
+    assert advice.verdict == verdict
+    assert sentence in (None, advice.sentence)
+    assert (advice.open_in_s is None) == (verdict not in ("open_in", "open_now"))
 
 
 def test_an_invalid_estimate_gives_no_leave():
-    said = advice_of(estimate(valid=False, reason="platen reading missing", **CURED), 40.0)
-    assert said.verdict == "not_known"
+    advice = advice_of(estimate(valid=False, reason="platen reading missing", **CURED), 40.0)
+    assert advice.verdict == "not_known"

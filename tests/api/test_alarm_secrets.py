@@ -69,10 +69,10 @@ def test_a_mail_server_that_repeats_the_password_puts_it_nowhere(tmp_path: Path,
             user="eva",
             password_file=tmp_path / "password",
         )
-        with pytest.raises(NotDelivered, match="535") as told:
+        with pytest.raises(NotDelivered, match="535") as refused:
             Email(settings, "eva@plant.example", "store").deliver(alarm())
-    assert not [form for form in FORMS if form in str(told.value)]
-    assert "***" in str(told.value)
+    assert not [form for form in FORMS if form in str(refused.value)]
+    assert "***" in str(refused.value)
 
 
 @pytest.mark.parametrize("status", ["HTTP/1.1 403 no: ", "HTTP/1.1 799 ", "garbage "])
@@ -85,7 +85,7 @@ def test_a_webhook_that_repeats_its_address_puts_it_nowhere(tmp_path: Path, stat
     with answering(b"", answer) as port:
         (tmp_path / "address").write_text(f"http://127.0.0.1:{port}/hook/{TOKEN}?token={TOKEN}\n")
         webhook = Webhook(WebhookSettings(address_file=tmp_path / "address"), "x")
-        with pytest.raises(NotDelivered) as told:
+        with pytest.raises(NotDelivered) as refused:
             webhook.deliver(alarm())
-    assert TOKEN not in str(told.value)
-    assert str(told.value)
+    assert TOKEN not in str(refused.value)
+    assert str(refused.value)

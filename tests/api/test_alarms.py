@@ -236,9 +236,9 @@ def tls_mail(request, tmp_path, monkeypatch):
         server = TlsController(Inbox(), context, request.param)
         server.start()
         password = tmp_path / "password"
-        told = {"security": "tls", "user": "schicht", "password_file": password}
+        values = {"security": "tls", "user": "schicht", "password_file": password}
         to = ("shift@plant.example",)
-        settings = EmailSettings(host="127.0.0.1", port=server.port, sender="press@plant.example", to=to, **told)
+        settings = EmailSettings(host="127.0.0.1", port=server.port, sender="press@plant.example", to=to, **values)
         yield server, settings, password
         server.stop()
 
@@ -249,8 +249,8 @@ def test_a_mail_goes_over_tls_also_with_a_password_that_is_no_ascii(store, tls_m
     ways = ways_of(settings, None, "store")
     store.watch_alarms([HOT], [MAIL], NOW)
     assert send_due(store, ways, lambda: NOW) == 0
-    (said,) = store.journal(level="warning").items
-    assert "535" in str(said.message)
+    (entry,) = store.journal(level="warning").items
+    assert "535" in str(entry.message)
     password.write_text("Prüfstand\n", encoding="utf-8-sig")  # as some editors write it
     assert send_due(store, ways, lambda: seconds(6)) == 1
     assert server.logins == [("schicht", "Prüfling"), ("schicht", "Prüfstand")]
@@ -261,10 +261,10 @@ def test_a_password_file_that_is_no_text_is_told_and_keeps_no_other_way_waiting(
     _, settings = mail
     (tmp_path / "password").write_bytes(b"\xff\xfe")
     (way,) = ways_of(settings, None, "store")
-    told = settings.model_copy(update={"user": "press", "password_file": tmp_path / "password"})
+    changed = settings.model_copy(update={"user": "press", "password_file": tmp_path / "password"})
     with pytest.raises(InputError, match="password"):
-        ways_of(told, None, "store")
-    ways = [replace(way, settings=told), *ways_of(None, hook(tmp_path, receiver.port), "store")]
+        ways_of(changed, None, "store")
+    ways = [replace(way, settings=changed), *ways_of(None, hook(tmp_path, receiver.port), "store")]
     store.watch_alarms([HOT], [way.name for way in ways], NOW)
     assert send_due(store, ways, lambda: NOW) == 1
     assert len(receiver.posts) == 1
@@ -336,8 +336,8 @@ def test_no_alarm_is_lost_over_a_kill_and_none_doubled(store, store_url, mail, t
     request.addfinalizer(lambda: [end(one) for one in running])
     webhook = hook(tmp_path, port)
     # The clock runs twenty times as fast, for what the killed hand held is free after 45 s.
-    told = (store_url, str(settings.port), str(webhook.address_file), began.isoformat(), "20")
-    command = [sys.executable, "-c", SERVE, *told]
+    arguments = (store_url, str(settings.port), str(webhook.address_file), began.isoformat(), "20")
+    command = [sys.executable, "-c", SERVE, *arguments]
 
     def started():
         running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
@@ -495,11 +495,11 @@ def test_alarms_are_mailed_whichever_of_two_servers_raises_them(store, store_url
     def raised():
         return sorted(a.number for a in store.alarms(limit=100).items)
 
-    def told():
+    def mailed():
         return sorted(int(m["Message-ID"].split("-")[1].split(".")[0]) for m in list(inbox.mails))
 
-    until(lambda: len(raised()) >= 6 and set(told()) == set(raised()))
-    assert len(told()) == len(set(told()))
+    until(lambda: len(raised()) >= 6 and set(mailed()) == set(raised()))
+    assert len(mailed()) == len(set(mailed()))
 
 
 def press_with(store, platen=200.0, core=95.0, when=NOW):
@@ -553,13 +553,13 @@ def plant(tmp_path, serve_any, tokens):
 
 def test_an_engineer_sets_limits_and_acknowledges_by_rest(plant):
     store, client, url = plant
-    said = client.put("/alarms/thresholds/lab", json={"core_above_C": 94.0}).json()
-    assert (said["who"], said["thresholds"]["core_above_C"], said["thresholds"]["silence_s"]) == (
+    answer = client.put("/alarms/thresholds/lab", json={"core_above_C": 94.0}).json()
+    assert (answer["who"], answer["thresholds"]["core_above_C"], answer["thresholds"]["silence_s"]) == (
         "engineer",
         94,
         None,
     )
-    assert client.get("/alarms/thresholds").json()["items"] == [said]
+    assert client.get("/alarms/thresholds").json()["items"] == [answer]
     look(store, [], NOW)
     (alarm,) = client.get("/alarms?pending=true&press=lab").json()["items"]
     assert (alarm["message"], alarm["stands"]) == ("lab: the core is above 94 °C", False)  # that was long ago
@@ -582,13 +582,13 @@ def test_health_and_the_list_of_alarms_tell_the_same_of_a_limit_at_any_moment(st
     press_with(store, when=datetime.now(UTC) - timedelta(seconds=30))
     url = serve_any(store) + "/api/v1"
 
-    def told():
-        said = [a["message"] for a in httpx.get(url + "/alarms", timeout=240).json()["items"] if a["stands"]]
-        return httpx.get(url + "/health", timeout=240).json()["alarms"], said
+    def shown():
+        alarms = [a["message"] for a in httpx.get(url + "/alarms", timeout=240).json()["items"] if a["stands"]]
+        return httpx.get(url + "/health", timeout=240).json()["alarms"], alarms
 
     for limits, stands in (({}, False), ({"silence_s": 20.0}, True), ({}, False), ({"silence_s": 20.0}, True)):
         store.put_alarm_thresholds("lab", limits, "engineer")
-        assert [any(m.startswith("lab: ") for m in each) for each in told()] == [stands, stands]
+        assert [any(m.startswith("lab: ") for m in each) for each in shown()] == [stands, stands]
     assert len(store.alarms().items) == 1  # calm for less than a minute: the same one
 
 
@@ -598,9 +598,9 @@ def test_an_alarm_that_stands_says_for_how_long_by_now_and_one_that_is_over_as_i
 
     store.watch_alarms([StandingAlarm("silent", None, silent(15.0))], [], NOW)
     (stored,) = store.alarms().items
-    told = [alarm_of(stored, standing).message for standing in ({"silent": silent(290.0)}, {}, None)]
-    assert told == [str(silent(290.0)), str(silent(15.0)), str(silent(15.0))]
-    assert "4 min 50 s" in told[0]
+    texts = [alarm_of(stored, standing).message for standing in ({"silent": silent(290.0)}, {}, None)]
+    assert texts == [str(silent(290.0)), str(silent(15.0)), str(silent(15.0))]
+    assert "4 min 50 s" in texts[0]
 
 
 def test_a_process_that_starts_with_the_watch_is_missed_only_when_it_could_have_spoken(store):

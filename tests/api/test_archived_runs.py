@@ -55,15 +55,15 @@ def test_a_damaged_header_costs_its_own_run_alone_in_every_list_and_health_names
         ):
             answer = client.get(f"/api/v1/{path}")
             if path in ("runs", "search"):
-                told = {item["run"]: item for item in answer.json()["items"]}
-                assert set(told) == {record.run for record in store.runs().items}
-                assert [run for run, item in told.items() if item["damage"]] == [RUN]
-                assert told[RUN]["damage_said"]["code"] == "of-run"
+                by_run = {item["run"]: item for item in answer.json()["items"]}
+                assert set(by_run) == {record.run for record in store.runs().items}
+                assert [run for run, item in by_run.items() if item["damage"]] == [RUN]
+                assert by_run[RUN]["damage_said"]["code"] == "of-run"
             assert (path, answer.status_code) == (path, 200)
         health = client.get("/api/v1/health").json()
-        (said,) = [one for one in health["alarms"] if "damaged in store" in one or "is damaged" in one]
-        assert RUN in said
-        assert url in said
+        (alarm,) = [one for one in health["alarms"] if "damaged in store" in one or "is damaged" in one]
+        assert RUN in alarm
+        assert url in alarm
         for path in ("", "/samples", "/estimates", "/fit", "/verdict", "/figure.svg"):
             answer = client.get(f"/api/v1/runs/{RUN}{path}")
             assert (path, answer.status_code) == (path, 503)
@@ -101,19 +101,19 @@ def test_a_run_with_a_damaged_scan_is_told_by_every_path_and_command_that_needs_
             answer = client.get(f"/api/v1/runs/{RUN}/{path}")
             assert (path, answer.status_code) == (path, 503)
             assert answer.headers["content-type"].startswith("application/problem+json")
-            told = answer.json()
-            assert told["detail_said"]["code"] == "of-run"
-            assert f"run {RUN}: scan {first + 40} is damaged" in told["detail"]
-            assert "kerntemp backup --restore" in told["detail"]
+            problem = answer.json()
+            assert problem["detail_said"]["code"] == "of-run"
+            assert f"run {RUN}: scan {first + 40} is damaged" in problem["detail"]
+            assert "kerntemp backup --restore" in problem["detail"]
         assert client.get("/api/v1/runs/lab-2026-03-04-02/samples").content == others
         assert client.get("/api/v1/runs").status_code == 200
         assert client.get(f"/api/v1/{SCANS}").status_code == 200
         for command in (["export", RUN, "--out"], ["fit", RUN, "--press", PRESS_FILE, "--json"]):
             assert main([*command, str(tmp_path / "x.csv"), "--store", str(store.database.path)]) == 2
-            said = capsys.readouterr().err
-            assert said.count("\n") == 1
+            output = capsys.readouterr().err
+            assert output.count("\n") == 1
             for part in (RUN, f"scan {first + 40}", str(store.database.path), "kerntemp backup --restore"):
-                assert part in said
+                assert part in output
             assert not (tmp_path / "x.csv").exists()
     finally:
         with store.database.writing() as connection:
@@ -143,17 +143,19 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     assert answer.status_code == 503
     assert "missing; copy it back from a backup of the archive" in answer.json()["detail"]
     assert client.get(f"/api/v1/runs/{RUN}").content == before[f"runs/{RUN}"]
-    told = client.get(f"/api/v1/{SCANS}").json()
-    assert told["scans"][0] == 0
-    assert sum(told["scans"]) > 100  # the other pressings
-    assert [(one["run"], one["why_said"]["code"]) for one in told["unread"]] == [(RUN, "archive-file-missing")]
+    scans = client.get(f"/api/v1/{SCANS}").json()
+    assert scans["scans"][0] == 0
+    assert sum(scans["scans"]) > 100  # the other pressings
+    assert [(one["run"], one["why_said"]["code"]) for one in scans["unread"]] == [(RUN, "archive-file-missing")]
     assert len(store.check_archive(STARTED.replace(year=2100)).unsound) == 1
-    assert any("one file is missing or damaged" in said for said in client.get("/api/v1/health").json()["alarms"])
+    assert any(
+        "one file is missing or damaged" in alarm for alarm in client.get("/api/v1/health").json()["alarms"]
+    )
     assert "kerntemp_archive_unsound 1.0" in client.get("/metrics").text
     Path(f"{file}.away").rename(file)
     (tmp_path / "archive").rename(tmp_path / "away")
     assert any(
-        "archive: missing; mount its disk" in said for said in client.get("/api/v1/health").json()["alarms"]
+        "archive: missing; mount its disk" in alarm for alarm in client.get("/api/v1/health").json()["alarms"]
     )
     (tmp_path / "away").rename(tmp_path / "archive")
     assert main(["backup", str(tmp_path / "b.sqlite"), "--store", str(store.database.path)]) == 0

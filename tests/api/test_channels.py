@@ -64,8 +64,8 @@ def test_a_pressure_and_a_limit_switch_are_told_in_their_own_units_and_not_as_te
         scan = Scan(0, START, 0.0, (20.0, 90.0, 1.0), (Quality.GOOD,) * 3)
         store.append_scans(key, [scan])
         batch = store.scans_after("lab", -1, 1)
-        told = channels_now(store, "lab", batch.channels, batch.scans[0], START, {})
-    assert [(c.value, c.unit, c.temperature_C) for c in told] == [
+        found = channels_now(store, "lab", batch.channels, batch.scans[0], START, {})
+    assert [(c.value, c.unit, c.temperature_C) for c in found] == [
         (20.0, "°C", 20.0),
         (90.0, "bar", None),
         (1.0, "", None),

@@ -275,8 +275,10 @@ def test_a_reading_that_is_no_temperature_stops_the_import(files, first, tmp_pat
     done = main(["import", str(wrong), "--press", str(files / "press.toml"), "--store", store])
     assert done == (0 if is_temperature else 2)
     if not is_temperature:
-        said = one_line(capsys)
-        assert f"wrong.csv: line {header + 4}: column top_2: {float(value):g} is no temperature; must lie" in said
+        output = one_line(capsys)
+        assert (
+            f"wrong.csv: line {header + 4}: column top_2: {float(value):g} is no temperature; must lie" in output
+        )
 
 
 def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):
@@ -429,9 +431,9 @@ def test_a_server_that_does_not_answer_is_named_in_words_and_not_as_a_fault_of_t
         taken.bind(("127.0.0.1", 0))  # nobody listens there
         url = f"postgresql://somebody:secret@127.0.0.1:{taken.getsockname()[1]}/x"
         assert main(["export", "--store", url]) == 1
-    said = one_line(capsys)
-    assert why in said
-    assert not {"StoreUnavailable", "KERNTEMP_TRACEBACK", "secret"} & set(re.split(r"\W+", said))
+    output = one_line(capsys)
+    assert why in output
+    assert not {"StoreUnavailable", "KERNTEMP_TRACEBACK", "secret"} & set(re.split(r"\W+", output))
 
 
 def test_a_command_says_which_files_it_wrote(files, first, tmp_path, capsys):
@@ -510,7 +512,7 @@ def test_what_a_shell_needs_to_complete_is_printed(shell, capsys):
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 @pytest.mark.parametrize(
-    ("language", "call", "said"),
+    ("language", "call", "expected"),
     [
         ("en", "kerntemp demo --sp", "Times real speed, 0.1 to 200."),
         ("de", "kerntemp demo --sp", "Vielfaches der wirklichen Geschwindigkeit"),
@@ -518,7 +520,7 @@ def test_what_a_shell_needs_to_complete_is_printed(shell, capsys):
         ("de", "kerntemp fit --", "Diese Seite zeigen."),
     ],
 )
-def test_the_shell_is_told_what_a_completion_means(shell, language, call, said):
+def test_the_shell_is_told_what_a_completion_means(shell, language, call, expected):
     asked = {
         "_KERNTEMP_COMPLETE": f"complete_{shell}",
         "_TYPER_COMPLETE_ARGS": call,
@@ -526,10 +528,12 @@ def test_the_shell_is_told_what_a_completion_means(shell, language, call, said):
     }
     asked |= {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "COLUMNS": "80"}
     command = [sys.executable, "-c", "import sys; sys.argv[0] = 'kerntemp'; from api.cli import main; main()"]
-    told = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, check=False).stdout
-    assert said in told
-    assert "help-" not in told
-    assert "broker ()" not in told
+    output = subprocess.run(
+        command, env={**os.environ, **asked}, capture_output=True, text=True, check=False
+    ).stdout
+    assert expected in output
+    assert "help-" not in output
+    assert "broker ()" not in output
 
 
 def test_an_effect_that_does_not_exist_is_refused_before_anything_is_diagnosed(files, first, capsys, monkeypatch):

@@ -141,9 +141,9 @@ def test_a_machine_that_does_not_keep_up_is_told_so():
     sound = PressingCheck("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
     unfitted = replace(sound, rmse_after_K=float("nan"))
     assert pace_lines([sound], 30.0, left_out=2, recorded=500, unseen=0) == []
-    (told,) = pace_lines([sound, unfitted], 30.0, left_out=50, recorded=450, unseen=1)
+    (line,) = pace_lines([sound, unfitted], 30.0, left_out=50, recorded=450, unseen=1)
     for part in ("50 of 500 scans", "1 pressing was not found", "1 run was not fitted in time", "30 times"):
-        assert part in str(told)
+        assert part in str(line)
 
 
 def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(tmp_path, monkeypatch):
@@ -196,11 +196,11 @@ def test_the_nightly_job_names_what_is_hidden_and_halves_the_live_core_error(tmp
     command += ["--pressings", "14", "--port", "0", "--data", str(tmp_path / "data")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told = done.stdout
-    assert f"Hidden in the virtual press: {effect}" in told
-    said = re.search(r"Nightly job: verdict “cause named”, (.*)", told)
-    assert said is not None
-    assert str(called(effect)) in said[1]
-    gain = re.search(r"Live core error on the last 10 runs: ([\d.]+) K .*, ([\d.]+) K", told)
-    assert gain is not None, told
+    output = done.stdout
+    assert f"Hidden in the virtual press: {effect}" in output
+    found = re.search(r"Nightly job: verdict “cause named”, (.*)", output)
+    assert found is not None
+    assert str(called(effect)) in found[1]
+    gain = re.search(r"Live core error on the last 10 runs: ([\d.]+) K .*, ([\d.]+) K", output)
+    assert gain is not None, output
     assert float(gain[2]) <= 0.5 * float(gain[1])

@@ -65,11 +65,11 @@ def test_json_holds_profiles_and_correlations_of_every_run(fitted):
 
 
 def test_program_outside_those_seen_is_predicted_with_a_remark(fitted):
-    told = json.loads((fitted / "fit.json").read_text())["program"]
-    assert told["settings"] == {"press_time_s": 200.0}
-    assert "outside the programs run so far" in told["remarks"][0]
+    written = json.loads((fitted / "fit.json").read_text())["program"]
+    assert written["settings"] == {"press_time_s": 200.0}
+    assert "outside the programs run so far" in written["remarks"][0]
     for name in PROFILED:
-        c = told["coefficients"][name]
+        c = written["coefficients"][name]
         assert c["ci95"][0] <= c["value"] <= c["ci95"][1]
     page = (fitted / "fit.html").read_text()
     assert "A program never run" in page

@@ -56,7 +56,7 @@ def test_a_generated_client_reads_every_list_and_changes_a_run(serve, tokens, tm
     token = tokens.create("generated", "write")
     used = [python, "-c", USE, tmp_path / "client", base, token]
     done = subprocess.run(used, check=True, capture_output=True, text=True)
-    said = done.stdout.splitlines()
-    assert said[: len(ANSWERS)] == ANSWERS
-    assert "does not exist" in said[-3]
-    assert said[-2:] == ["401", "by a generated client"]
+    output = done.stdout.splitlines()
+    assert output[: len(ANSWERS)] == ANSWERS
+    assert "does not exist" in output[-3]
+    assert output[-2:] == ["401", "by a generated client"]

@@ -133,7 +133,7 @@ def leaving(store, key, make_estimate):
     return say
 
 
-def told(events):
+def leave_of(events):
     return [(e["data"]["number"], e["data"]["open_now"], e["data"]["reason"]) for e in events]
 
 
@@ -142,15 +142,15 @@ def test_leave_to_open_is_withdrawn_from_the_stream_when_nobody_says_so_any_more
     try:
         number = leaving(3.5)
         first, second = stream.wait("estimate", 2)
-        assert told([first, second]) == [(number, True, ""), (number, False, "no scans")]
+        assert leave_of([first, second]) == [(number, True, ""), (number, False, "no scans")]
         assert first["data"]["advice"]["verdict"] == "open_now"
         assert (second["data"]["core_C"], second["data"]["state"]) == (None, "unknown")
         assert second["data"]["advice"]["verdict"] == "not_known"
         number = leaving(0.0)
-        assert told(stream.wait("estimate", 3))[-1] == (number, True, "")
+        assert leave_of(stream.wait("estimate", 3))[-1] == (number, True, "")
         opened = scan(number + 1, 92.0)
         store.append_scans(key, [opened], [PressEvent(PressEventKind.OPENED, 1.0, 1.0)])
-        assert told(stream.wait("estimate", 4))[-1] == (number, False, "press state unknown")
+        assert leave_of(stream.wait("estimate", 4))[-1] == (number, False, "press state unknown")
         assert len(stream.wait("estimate", 4)) == 4
     finally:
         stream.close()
@@ -166,7 +166,7 @@ def test_who_comes_back_after_the_leave_was_withdrawn_hears_that_last(client, le
     try:
         then, now = back.wait("estimate", 2)
         assert (then["data"]["valid"], then["data"]["core_C"]) == (True, 85.0)  # as it was at its scan
-        assert told([then, now]) == [(number, False, ""), (number, False, "no scans")]
+        assert leave_of([then, now]) == [(number, False, ""), (number, False, "no scans")]
         assert then["data"]["advice"]["verdict"] == now["data"]["advice"]["verdict"] == "not_known"
     finally:
         back.close()

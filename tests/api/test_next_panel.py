@@ -44,8 +44,8 @@ def plant(tmp_path, serve_any, writer):
 
 def test_a_run_begins_with_what_was_said_of_the_panel_and_keeps_the_rest(plant):
     store, client, press_a_panel = plant
-    said = client.put("/press/next", json={"header": {**MDF, "panel.initial_temperature_C": 23.5}}).json()
-    assert (said["press"], said["who"]) == ("lab", "operator")
+    answer = client.put("/press/next", json={"header": {**MDF, "panel.initial_temperature_C": 23.5}}).json()
+    assert (answer["press"], answer["who"]) == ("lab", "operator")
     first, second = (store.run_record(press_a_panel()).header for _ in range(2))
     assert {key: first[key] for key in MDF} == MDF
     assert (first["panel.moisture_percent"], first["panel.initial_temperature_C"]) == (8.0, 23.5)
@@ -66,8 +66,8 @@ def test_a_recipe_is_kept_by_name_chosen_again_and_named_in_the_run(plant):
     client.put("/press/next", json={"recipe": "MDF 19", "header": {**MDF, "panel.initial_temperature_C": 30.0}})
     assert client.put("/press/next", json={}).json()["header"] == {}
     assert store.run_record(press_a_panel()).header["panel.thickness_mm"] == 16.0
-    said = client.put("/press/next", json={"recipe": "MDF 19"}).json()
-    assert (said["recipe"], said["header"], said["recipes"]) == ("MDF 19", MDF, {"MDF 19": MDF})
+    answer = client.put("/press/next", json={"recipe": "MDF 19"}).json()
+    assert (answer["recipe"], answer["header"], answer["recipes"]) == ("MDF 19", MDF, {"MDF 19": MDF})
     assert store.run_record(press_a_panel()).header["recipe"] == "MDF 19"
     refused = client.put("/press/next", json={"recipe": "oak"})
     assert (refused.status_code, "MDF 19" in refused.json()["detail"]) == (422, True)
@@ -131,10 +131,10 @@ def test_a_material_without_constants_is_refused_unless_the_configuration_gives_
 def test_a_panel_unlike_all_before_is_taken_with_a_doubt(plant, header, code):
     store, client, press_a_panel = plant
     press_a_panel()
-    said = client.put("/press/next", json={"header": header}).json()
-    assert [doubt["code"] for doubt in said["doubts_said"]] == [code]
-    assert client.get("/press/next").json()["doubts"] == said["doubts"]
-    assert [str(line.message) for line in doubts_in_journal(store)] == [f"press lab: {said['doubts'][0]}"]
+    answer = client.put("/press/next", json={"header": header}).json()
+    assert [doubt["code"] for doubt in answer["doubts_said"]] == [code]
+    assert client.get("/press/next").json()["doubts"] == answer["doubts"]
+    assert [str(line.message) for line in doubts_in_journal(store)] == [f"press lab: {answer['doubts'][0]}"]
     usual = {"panel.initial_temperature_C": 21.0, "panel.thickness_mm": 16.2}
     assert client.put("/press/next", json={"header": usual}).json()["doubts"] == []
 
@@ -152,8 +152,8 @@ def test_a_verdict_stands_in_list_run_and_file_with_who_said_it(plant, tmp_path)
     run = press_a_panel()
     assert client.get(f"/runs/{run}/verdict").json() == {"run": run, "verdict": None, "who": None, "utc": None}
     client.put(f"/runs/{run}/verdict", json={"verdict": "good"})
-    told = client.put(f"/runs/{run}/verdict", json={"verdict": "blister"}).json()
-    assert (told["verdict"], told["who"]) == ("blister", "operator")
+    answer = client.put(f"/runs/{run}/verdict", json={"verdict": "blister"}).json()
+    assert (answer["verdict"], answer["who"]) == ("blister", "operator")
     assert client.get("/runs").json()["items"][0]["verdict"] == "blister"
     assert [c["after"] for c in client.get(f"/runs/{run}").json()["changes"]] == ["good", "blister"]
     file = tmp_path / "run.csv"
@@ -180,11 +180,11 @@ def doubts_in_journal(store):
 
 def test_a_panel_far_from_the_material_table_is_taken_with_a_doubt_in_answer_and_journal(plant):
     store, client, _ = plant
-    said = client.put("/press/next", json={"header": DOUBTFUL}).json()
-    assert said["header"] == DOUBTFUL
-    [doubt] = said["doubts"]
+    answer = client.put("/press/next", json={"header": DOUBTFUL}).json()
+    assert answer["header"] == DOUBTFUL
+    [doubt] = answer["doubts"]
     assert "panel.density_kg_m3 = 400" in doubt
-    assert said["doubts_said"][0]["code"] == "header-far-from-table"
+    assert answer["doubts_said"][0]["code"] == "header-far-from-table"
     [line] = doubts_in_journal(store)
     assert (line.process, line.press, str(line.message)) == ("operator", "lab", f"press lab: {doubt}")
     assert client.get("/press/next").json()["doubts"] == [doubt]
@@ -196,8 +196,8 @@ def test_a_change_of_a_run_that_is_doubtful_is_taken_with_a_doubt_told_once(plan
     store, client, press_a_panel = plant
     run = press_a_panel()
     known = {**DOUBTFUL, "panel.initial_temperature_C": 21.0}
-    said = client.patch(f"/runs/{run}", json={"header": known}).json()
-    [doubt] = said["doubts"]
+    answer = client.patch(f"/runs/{run}", json={"header": known}).json()
+    [doubt] = answer["doubts"]
     assert "panel.density_kg_m3 = 400" in doubt
     assert client.patch(f"/runs/{run}", json={"remark": "light"}).json()["doubts"] == [doubt]
     [line] = doubts_in_journal(store)
@@ -211,8 +211,8 @@ def test_a_run_that_begins_is_doubted_by_what_configuration_and_next_panel_say_t
     first, second = press_a_panel(), press_a_panel()
     client.put("/press/next", json={"header": DOUBTFUL})
     third = press_a_panel()
-    told = [(str(line.message), line.process) for line in reversed(doubts_in_journal(store)[:-before])]
-    assert [process for _, process in told] == ["record", "operator", "record"]
-    assert told[0][0].startswith(f"run {first}: header key panel.colour")
-    assert told[2][0].startswith(f"run {third}: header key panel.density_kg_m3 = 400")
-    assert not [text for text, _ in told if second in text]  # as the run before: told already
+    messages = [(str(line.message), line.process) for line in reversed(doubts_in_journal(store)[:-before])]
+    assert [process for _, process in messages] == ["record", "operator", "record"]
+    assert messages[0][0].startswith(f"run {first}: header key panel.colour")
+    assert messages[2][0].startswith(f"run {third}: header key panel.density_kg_m3 = 400")
+    assert not [text for text, _ in messages if second in text]  # as the run before: told already

@@ -78,9 +78,9 @@ def test_a_number_that_somebody_else_let_the_broker_keep_costs_no_message(
     with closing(Listener(broker.port)) as listener, publishing(store, broker.port, known) as publisher:
         wait_until(lambda: publisher.position["lab", "scan"] == 7)
         wait_until(lambda: listener.numbers("scan")[-5:] == [3, 4, 5, 6, 7])
-    (said,) = [one.message for one in store.journal(level="warning").items]
-    assert said.code == "plant-retained-foreign"
-    assert said.arguments["number"] == str(number)
+    (message,) = [one.message for one in store.journal(level="warning").items]
+    assert message.code == "plant-retained-foreign"
+    assert message.arguments["number"] == str(number)
 
 
 def test_whatever_a_broker_keeps_the_feed_goes_on_with_the_next_scan(store: Store, broker: Broker) -> None:  # noqa: F811

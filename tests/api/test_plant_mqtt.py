@@ -304,7 +304,7 @@ def test_another_store_than_before_begins_with_its_own_present(store, broker):
     listener.close()
 
 
-def command(tmp_path: Path, broker: Broker, **told: str) -> subprocess.Popen[str]:
+def command(tmp_path: Path, broker: Broker, **environment: str) -> subprocess.Popen[str]:
     config = tmp_path / "kerntemp.toml"
     config.write_text(
         f'[store]\nurl = "plant.sqlite"\n[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}\nprefix = "plant"\n'
@@ -312,7 +312,7 @@ def command(tmp_path: Path, broker: Broker, **told: str) -> subprocess.Popen[str
         'profile = "exemys-rme1-tc"\nhost = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n'
     )
     line = [sys.executable, "-m", "api", "publish", "--config", str(config)]
-    where = {"cwd": Path(__file__).parents[2], "env": {**os.environ, **told}}
+    where = {"cwd": Path(__file__).parents[2], "env": {**os.environ, **environment}}
     return subprocess.Popen(line, stderr=subprocess.DEVNULL, text=True, **where)
 
 
@@ -346,11 +346,11 @@ def test_systemd_is_told_that_publish_is_ready_and_alive(tmp_path, store, broker
         line.bind(place)
         line.settimeout(240)
         service = command(tmp_path, broker, NOTIFY_SOCKET=place)
-        said = [line.recv(4096).decode() for _ in range(3)]
+        datagrams = [line.recv(4096).decode() for _ in range(3)]
         service.terminate()
         assert service.wait(240) == 0
-    assert said[0].startswith("READY=1")
-    assert all(message.startswith("WATCHDOG=1") for message in said[1:])
+    assert datagrams[0].startswith("READY=1")
+    assert all(message.startswith("WATCHDOG=1") for message in datagrams[1:])
 
 
 LEAVE = "plant/lab/open_now"
@@ -383,8 +383,8 @@ def giving_leave(store: Store, port: int) -> Iterator[LeaveFeed]:
 
 def last(listener: Listener) -> tuple[bool, bool, str]:
     """The newest word of leave to open: whether, whether that is known, and why not."""
-    said = (listener.got.get(LEAVE) or [{"open_now": None, "known": None, "reason": None}])[-1]
-    return said["open_now"], said["known"], said["reason"]
+    body = (listener.got.get(LEAVE) or [{"open_now": None, "known": None, "reason": None}])[-1]
+    return body["open_now"], body["known"], body["reason"]
 
 
 def test_leave_to_open_is_said_each_second_and_taken_back_when_nobody_knows(store, broker):

@@ -60,7 +60,9 @@ def serving(store: Store, folder: Path, clock: Clock | None = None, **settings: 
         assert not thread.is_alive()
 
 
-def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True, leave: bool = True) -> datetime:
+def write(
+    store: Store, utc: datetime, *, valid: bool = True, followed: bool = True, leave: bool = True
+) -> datetime:
     key = store.register_press("lab", CHANNELS, LAB)
     values = (201.5, 99.25, math.nan, 99.0, 42.0)
     scan = Scan(
@@ -74,7 +76,7 @@ def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True,
     begin = NewRun("lab-2026-03-04-01", 0, utc, 10.0) if first else None
     kinds = (PressEventKind.INSERTED, PressEventKind.CLOSED) if first and valid else ()
     store.append_scans(key, [scan], [PressEvent(kind, 10.0, 10.4) for kind in kinds], begin)
-    if not said:
+    if not followed:
         return scan.utc
     core = 84.5 if valid else math.nan
     estimate = StoredEstimate(
@@ -142,7 +144,7 @@ def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path
 def test_a_core_of_a_silent_live_sensor_is_no_data_while_the_press_goes_on(tmp_path, store):
     clock = Clock()
     before = write(store, BEGAN)
-    clock.utc = after = write(store, before + timedelta(seconds=25), said=False)
+    clock.utc = after = write(store, before + timedelta(seconds=25), followed=False)
     with serving(store, tmp_path, clock) as server:
         found = asyncio.run(read(server, "core", "core_high", "channel.top_1", "state", "reason"))
     codes = [found[key].StatusCode.name for key in ("core", "core_high", "channel.top_1")]
@@ -155,19 +157,19 @@ def test_a_core_of_a_silent_live_sensor_is_no_data_while_the_press_goes_on(tmp_p
 
 async def becomes(server: PressServer, expected: tuple[bool, str]) -> None:
     """Wait until a client that follows `open_now` has been told this value and status."""
-    told: list[tuple[bool, str]] = []
+    values: list[tuple[bool, str]] = []
 
     class Handler:
         def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
             item = data.monitored_item.Value
-            told.append((item.Value.Value, item.StatusCode.name))
+            values.append((item.Value.Value, item.StatusCode.name))
 
     async with Client(server.address) as client:
         node = client.get_node(ua.NodeId("lab.open_now", await client.get_namespace_index(NAMESPACE)))
         subscription = await client.create_subscription(50, Handler())
         await subscription.subscribe_data_change(node)
         async with asyncio.timeout(240):
-            while told[-1:] != [expected]:
+            while values[-1:] != [expected]:
                 await asyncio.sleep(0.02)
         value = await node.read_data_value(raise_on_bad_status=False)
     assert (value.Value.Value, value.StatusCode.name) == expected
@@ -180,7 +182,7 @@ def test_leave_to_open_is_false_and_uncertain_wherever_it_is_not_known(tmp_path,
         (good, 0.0, {}),
         (unknown, 1.0, {"valid": False}),
         (good, 2.0, {}),
-        (unknown, 25.0, {"said": False}),  # the live sensor is silent
+        (unknown, 25.0, {"followed": False}),  # the live sensor is silent
         (good, 26.0, {}),
         (unknown, 31.5, None),  # recorder and sensor are silent together
         (good, 32.0, {}),

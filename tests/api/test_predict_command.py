@@ -94,20 +94,20 @@ def test_a_resin_adds_cure_steam_and_leave_to_open(files, capsys):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
         (("cure_least = 0.5", "cure_least = 50"), "resin.toml: limits.cure_least = 50"),
         (("cure_least = 0.5", "cure_lest = 0.5"), "did you mean cure_least?"),
         (("rate_per_s = 0.05", "rate_per_s = -1"), "order.rate_per_s = -1"),
     ],
 )
-def test_a_resin_that_cannot_be_is_refused_and_nothing_is_written(files, capsys, change, said):
+def test_a_resin_that_cannot_be_is_refused_and_nothing_is_written(files, capsys, change, expected):
     folder, path = files
     resin, out = folder / "resin.toml", folder / "never.csv"
     resin.write_text(RESIN.replace(*change), encoding="utf-8")
     words = ["predict", str(path), "--press", str(folder / "press.toml"), "--resin", str(resin), "--out", str(out)]
     assert main(words) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -118,9 +118,9 @@ def test_an_example_resin_and_missing_limits_are_told(files, capsys):
     resin.write_text(text, encoding="utf-8")
     words = ["predict", str(path), "--press", str(folder / "press.toml"), "--resin", str(resin), "--out", str(out)]
     assert main(words) == 0
-    told = capsys.readouterr().err
-    assert "is an example" in told
-    assert "has no limit" in told
+    output = capsys.readouterr().err
+    assert "is an example" in output
+    assert "has no limit" in output
     assert all(row.endswith(",0") for row in out.read_text(encoding="utf-8").splitlines()[1:])
 
 
@@ -162,7 +162,7 @@ def test_a_dash_sends_the_file_to_standard_output_and_nothing_else(files, capsys
     assert main(["predict", str(path), "--press", press, "--out", "-"]) == 0
     assert capsys.readouterr().out == table
     assert main(["fit", str(path), "--press", press, "--json", "-"]) == 0
-    said = capsys.readouterr()
-    assert json.loads(said.out)["runs"][0]["run"] == path.stem
-    assert "h_pp_c" in said.err
+    output = capsys.readouterr()
+    assert json.loads(output.out)["runs"][0]["run"] == path.stem
+    assert "h_pp_c" in output.err
     assert list(tmp_path.iterdir()) == []

@@ -94,15 +94,15 @@ def test_an_estimate_that_is_not_valid_hands_on_no_outlook(store):
     store.append_scans(key, [scan(5)])
     ahead = {"target_in_s": 17.5, "open_in_s": 9.0, "peak_C": 81.0, "energy_kJ_m2": 700.0, "profile_C": [99.0]}
     beside = {**ahead, "warning": "core will peak at 81 °C", "suspected": "edge_loss"}
-    said = replace(estimate(5, 31.0), detail=beside)
-    store.append_estimates("lab", [said])
-    told = now_of(store)
-    assert {name: getattr(told.estimate, name) for name in beside} == beside
-    store.append_estimates("lab", [replace(said, valid=False, reason="calculation failed")])
-    told = now_of(store)
-    assert {getattr(told.estimate, name) for name in set(ahead) - {"profile_C"}} == {None}
-    assert (told.estimate.profile_C, told.estimate.warning, told.estimate.suspected) == (None, "", "edge_loss")
-    assert told.target.time_to_target_s is None
+    kept = replace(estimate(5, 31.0), detail=beside)
+    store.append_estimates("lab", [kept])
+    now = now_of(store)
+    assert {name: getattr(now.estimate, name) for name in beside} == beside
+    store.append_estimates("lab", [replace(kept, valid=False, reason="calculation failed")])
+    now = now_of(store)
+    assert {getattr(now.estimate, name) for name in set(ahead) - {"profile_C"}} == {None}
+    assert (now.estimate.profile_C, now.estimate.warning, now.estimate.suspected) == (None, "", "edge_loss")
+    assert now.target.time_to_target_s is None
 
 
 def test_a_core_nobody_updates_any_more_is_not_shown_as_the_core_of_now(store):
@@ -135,29 +135,29 @@ def pressing_that_may_end(store: Store) -> PressKey:
 @pytest.mark.parametrize(("later_s", "leave"), [(0.0, True), (4.9, True), (5.1, False), (600.0, False)])
 def test_leave_to_open_is_taken_back_when_recorder_and_sensor_stop_together(store, later_s, leave):
     pressing_that_may_end(store)
-    told = now_of(store, later_s)
-    assert (told.estimate.open_now, told.estimate.valid, told.age_s) == (leave, leave, later_s)
-    assert told.estimate.advice.verdict == ("open_now" if leave else "not_known")
-    assert told.state == ("closed" if leave else "unknown")
+    now = now_of(store, later_s)
+    assert (now.estimate.open_now, now.estimate.valid, now.age_s) == (leave, leave, later_s)
+    assert now.estimate.advice.verdict == ("open_now" if leave else "not_known")
+    assert now.state == ("closed" if leave else "unknown")
     if not leave:
-        assert (told.estimate.reason, told.time_s, told.faces.top_C) == ("no scans", None, None)
-        assert told.estimate.reason_arguments == {"silent_s": round(later_s)}
+        assert (now.estimate.reason, now.time_s, now.faces.top_C) == ("no scans", None, None)
+        assert now.estimate.reason_arguments == {"silent_s": round(later_s)}
         since = "10 min" if later_s == 600.0 else f"{later_s:.0f} s"
-        assert told.estimate.advice.sentence == f"not known, because no scan for {since}"
+        assert now.estimate.advice.sentence == f"not known, because no scan for {since}"
 
 
 def test_a_recorder_whose_clock_runs_ahead_gives_no_leave(store):
     pressing_that_may_end(store)
-    told = now_of(store, -30.0)
-    assert (told.state, told.estimate.open_now, told.estimate.reason) == ("unknown", False, "clock ahead")
-    assert told.estimate.reason_arguments == {"ahead_s": 30}
+    now = now_of(store, -30.0)
+    assert (now.state, now.estimate.open_now, now.estimate.reason) == ("unknown", False, "clock ahead")
+    assert now.estimate.reason_arguments == {"ahead_s": 30}
 
 
 def test_what_is_told_says_until_when_it_may_be_acted_on(store):
     pressing_that_may_end(store)
-    told = now_of(store, 1.5).estimate
-    assert (told.utc, told.age_s) == (START + timedelta(seconds=5), 1.5)
-    assert told.valid_until_utc == START + timedelta(seconds=10)
+    now = now_of(store, 1.5).estimate
+    assert (now.utc, now.age_s) == (START + timedelta(seconds=5), 1.5)
+    assert now.valid_until_utc == START + timedelta(seconds=10)
     assert now_of(store, 9.0).estimate.valid_until_utc is None
 
 
@@ -171,9 +171,9 @@ def test_what_is_told_says_until_when_it_may_be_acted_on(store):
 def test_an_estimate_of_another_state_than_the_recorders_is_none_of_this_panel(store, kind, state, reason):
     key = pressing_that_may_end(store)
     store.append_scans(key, [scan(6)], [PressEvent(kind, 1006.0, 1006.0)])
-    told = now_of(store)
-    assert (told.state, told.estimate.state, told.estimate.reason) == (state, state, reason)
-    assert (told.estimate.open_now, told.estimate.core_C) == (False, None)
+    now = now_of(store)
+    assert (now.state, now.estimate.state, now.estimate.reason) == (state, state, reason)
+    assert (now.estimate.open_now, now.estimate.core_C) == (False, None)
 
 
 def test_a_new_panel_has_no_estimate_before_its_own(store):
@@ -183,8 +183,8 @@ def test_a_new_panel_has_no_estimate_before_its_own(store):
     new = scan(6)
     store.append_scans(key, [new], begin=NewRun("two", 6, new.utc, new.monotonic_s, TARGET))
     store.append_scans(key, [scan(7)], [PressEvent(KIND.INSERTED, 1006.0, 1006.0)])
-    told = now_of(store)
-    assert (told.state, told.estimate.reason) == ("open", "no estimate yet")
+    now = now_of(store)
+    assert (now.state, now.estimate.reason) == ("open", "no estimate yet")
     store.append_estimates("lab", [replace(estimate(7, 24.0), state="idle", valid=False, reason="x")])
     assert now_of(store).estimate.reason == "no estimate yet"
     store.append_estimates("lab", [replace(estimate(7, 24.0), state="open")])
@@ -215,12 +215,12 @@ def test_marked_panels_teach_what_steam_is_borne_by_what_the_live_sensor_last_sa
         store.append_estimates("lab", [estimate(last.number, 55.0, **beside)])
         store.append_scans(key, [], end=RunEnd(f"run-{i}", last.number, last.utc))
         store.annotate_run(f"run-{i}", {"panel.verdict": verdict}, "foreman")
-    told = blisters_of(store, "lab", None)
+    found = blisters_of(store, "lab", None)
     sd = np.full(3, np.log(1.25) / 1.959964)
     asked = learn_limit(Normal(np.log(steam[:3]), sd), np.array([False, False, True]))
-    assert (told.marks, told.blistered, len(told.panels)) == (3, 1, 4)
-    assert told.steam_most_kPa == pytest.approx(asked.most_kPa, abs=0.1)
-    assert told.ci95_kPa == pytest.approx(asked.ci95_kPa, abs=0.1)
+    assert (found.marks, found.blistered, len(found.panels)) == (3, 1, 4)
+    assert found.steam_most_kPa == pytest.approx(asked.most_kPa, abs=0.1)
+    assert found.ci95_kPa == pytest.approx(asked.ci95_kPa, abs=0.1)
 
 
 def test_a_core_above_its_limit_is_no_alarm_once_nobody_says_so_any_more(store):

@@ -40,9 +40,9 @@ def problem(answer: httpx.Response, status: int) -> dict[str, object]:
 def test_the_catalogue_of_words_is_handed_out_in_each_language_and_tagged(client):
     for language in languages():
         answer = client.get(f"/api/v1/messages/{language}")
-        told = answer.json()
-        assert (told["language"], told["languages"]) == (language, list(languages()))
-        assert "$language" in told["messages"]["api-no-such-language"]
+        catalogue = answer.json()
+        assert (catalogue["language"], catalogue["languages"]) == (language, list(languages()))
+        assert "$language" in catalogue["messages"]["api-no-such-language"]
         again = client.get(f"/api/v1/messages/{language}", headers={"If-None-Match": answer.headers["etag"]})
         assert again.status_code == 304
     refused = problem(client.get("/api/v1/messages/tlh"), 404)
@@ -111,9 +111,9 @@ def test_samples_say_why_values_are_missing_also_where_they_are_decimated(client
         form = {"format": "csv"} | ({"max_points": points} if points else {})
         (tmp_path / "x.csv").write_bytes(client.get(f"{RUN}/samples", params=form).content)
         run = read_run(tmp_path / "x.csv")
-        for i, said in enumerate(run.texts.get("quality", ())):
+        for i, quality in enumerate(run.texts.get("quality", ())):
             missing = {name for name, column in run.columns.items() if np.isnan(column[i])}
-            assert set(said.split()) == {f"{name}=open" for name in missing}
+            assert set(quality.split()) == {f"{name}=open" for name in missing}
 
 
 def test_samples_between_two_times_lie_between_them(client):
@@ -274,16 +274,16 @@ def test_imported_runs_do_not_shorten_how_long_the_disk_lasts(tmp_path):
         sizes = store.sizes()
         assert health_of(store, datetime.now(UTC)).store.hours_left is None, "nobody records"
         store.beat("record", {"state": "running", "presses": [{"press": "lab", "rate_hz": 5.0, "speed": 2.0}]})
-        told = health_of(store, datetime.now(UTC)).store.hours_left
+        hours_left = health_of(store, datetime.now(UTC)).store.hours_left
         expected = store.sizes().free_bytes / (sizes.bytes / 67_000 * 10.0 * 3600.0)
-    assert told == pytest.approx(expected, rel=0.05)
+    assert hours_left == pytest.approx(expected, rel=0.05)
 
 
 def test_health_asks_the_store_as_often_however_many_presses_there_are(tmp_path):
     asked, counts = [], []
     with open_store(str(tmp_path / "s.sqlite")) as store:
         store.presses()
-        event.listen(store.database.engine, "before_cursor_execute", lambda *told: asked.append(told[2]))
+        event.listen(store.database.engine, "before_cursor_execute", lambda *arguments: asked.append(arguments[2]))
         for count in (1, 30):
             for number in range(count):
                 key = store.register_press(f"press-{number}", (Channel("top_1"),))
@@ -419,9 +419,9 @@ def test_the_figure_is_an_svg_that_names_the_run(client):
     assert answer.headers["content-type"].startswith("image/svg+xml")
     root = ElementTree.fromstring(answer.text)
     assert root.tag.endswith("svg")
-    said = [text.text or "" for text in root.iter("{http://www.w3.org/2000/svg}text")]
-    assert any("lab-2026-03-04-01" in text for text in said)
-    assert {"Platens", "Core as predicted live, with its 95 % band"} <= set(said)
+    texts = [text.text or "" for text in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert any("lab-2026-03-04-01" in text for text in texts)
+    assert {"Platens", "Core as predicted live, with its 95 % band"} <= set(texts)
     paths = list(root.iter("{http://www.w3.org/2000/svg}path"))
     assert [p.get("fill") for p in paths if p.get("opacity") == ".18"]
     assert [p.get("stroke-dasharray") for p in paths if p.get("fill") == "none"][-2:] == ["none", "6 4"]
@@ -430,7 +430,7 @@ def test_the_figure_is_an_svg_that_names_the_run(client):
 def test_the_figure_speaks_the_language_that_is_asked_for(client):
     assert "temperature [°C]" in client.get(f"{RUN}/figure.svg").text
     german = client.get(f"{RUN}/figure.svg?language=de").text
-    assert all(said in german for said in ("Temperatur [°C]", "Platte, Oberseite", "geschlossen"))
+    assert all(text in german for text in ("Temperatur [°C]", "Platte, Oberseite", "geschlossen"))
     assert client.get(f"{RUN}/figure.svg?language=xx").status_code == 404
 
 
@@ -616,8 +616,8 @@ def test_notes_and_press_events_stand_in_the_journal_and_a_note_is_refused_witho
 
 
 def test_a_press_event_of_a_time_nobody_knows_has_none():
-    said = press_event_of(StoredPressEvent(7, "lab", "closes", None, 12.0, 12.5, 30, "temperatures"), "lab-01")
-    assert json.loads(said.model_dump_json())["utc"] is None
+    event = press_event_of(StoredPressEvent(7, "lab", "closes", None, 12.0, 12.5, 30, "temperatures"), "lab-01")
+    assert json.loads(event.model_dump_json())["utc"] is None
 
 
 def test_a_note_is_answered_with_its_own_line_whatever_the_same_hand_keeps_meanwhile(store):
@@ -628,16 +628,16 @@ def test_a_note_is_answered_with_its_own_line_whatever_the_same_hand_keeps_meanw
 
 def test_scans_between_two_instants_keep_each_peak_in_its_step_of_time(client, store, campaign):
     asked = {"press": "lab", "from": STARTED.isoformat(), "to": (STARTED + timedelta(minutes=10)).isoformat()}
-    told = client.get("/api/v1/scans", params={**asked, "points": 50}).json()
+    answer = client.get("/api/v1/scans", params={**asked, "points": 50}).json()
     run, _ = campaign[0]
-    step = (run.time_s / told["step_s"]).astype(int)
-    assert told["step_s"] == 12.0
-    assert told["scans"] == np.bincount(step, minlength=50).tolist()
+    step = (run.time_s / answer["step_s"]).astype(int)
+    assert answer["step_s"] == 12.0
+    assert answer["scans"] == np.bincount(step, minlength=50).tolist()
     for name, values in run.columns.items():
         for i in range(50):
             own = values[(step == i) & np.isfinite(values)]
             expected = [None, None] if not len(own) else [own.min(), own.max()]
-            assert [told["columns"][name][side][i] for side in ("low", "high")] == pytest.approx(
+            assert [answer["columns"][name][side][i] for side in ("low", "high")] == pytest.approx(
                 expected, abs=1e-4
             )
     late = {**asked, "to": (STARTED + timedelta(hours=26)).isoformat()}

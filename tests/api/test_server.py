@@ -118,8 +118,8 @@ def test_tokens_are_noted_in_the_journal_by_name_and_shown_nowhere_else(plant, c
             assert answer.status_code == status, answer.text
     assert main(["token", "revoke", "tablet", *config]) == 0
     with open_store(str(plant / "kerntemp.sqlite")) as store:
-        said = [str(entry.message) for entry in store.journal().items]
-    assert said == ["token tablet revoked", "token tablet created, scope write"]
+        messages = [str(entry.message) for entry in store.journal().items]
+    assert messages == ["token tablet revoked", "token tablet created, scope write"]
     log = (plant / "serve.log").read_text()
     assert "too many wrong tokens from 127.0.0.1" in log
     secret = text.split("_", 2)[2]  # may hold underscores itself
@@ -284,13 +284,13 @@ def test_what_was_left_out_of_the_log_is_counted_and_faults_of_our_own_are_not_l
     now = [0.0]
     sparing = SparingLog(lambda: now[0])
 
-    def told(level, message):
+    def logged(level, message):
         record = logging.LogRecord("uvicorn.error", level, "h11_impl.py", 7, message, (), None)
         return record.getMessage() if sparing.filter(record) else None
 
-    assert [told(logging.WARNING, "gone") for _ in range(4)] == ["gone", None, None, None]
-    assert [told(logging.ERROR, "fault") for _ in range(2)] == ["fault", "fault"]
+    assert [logged(logging.WARNING, "gone") for _ in range(4)] == ["gone", None, None, None]
+    assert [logged(logging.ERROR, "fault") for _ in range(2)] == ["fault", "fault"]
     now[0] = 60.0
-    assert [told(logging.WARNING, "gone") for _ in range(2)] == ["gone (+3)", None]
+    assert [logged(logging.WARNING, "gone") for _ in range(2)] == ["gone (+3)", None]
     now[0] = 120.0
-    assert told(logging.WARNING, "gone") == "gone (+1)"
+    assert logged(logging.WARNING, "gone") == "gone (+1)"

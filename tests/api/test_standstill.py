@@ -102,8 +102,8 @@ def test_alarms_not_looked_for_or_not_sent_are_an_alarm_and_starve_the_watchdog(
         with running(server, [listening.bind()]):
             wait_until(stands.is_set)
             starved_and_fed_again(beats, thread, free)
-    told = [e.message for e in stored.journal(level="alarm").items if e.message.code == "thread-stalled"]
-    assert [m.arguments["thread"] for m in told] == [thread]
+    messages = [e.message for e in stored.journal(level="alarm").items if e.message.code == "thread-stalled"]
+    assert [m.arguments["thread"] for m in messages] == [thread]
 
 
 def test_a_fault_that_comes_back_after_all_went_well_is_an_alarm_again(stored, monkeypatch):
@@ -119,16 +119,16 @@ def test_a_fault_that_comes_back_after_all_went_well_is_an_alarm_again(stored, m
 
     monkeypatch.setattr(Store, "watch_alarms", watched)
 
-    def told():
+    def faults():
         return sum(e.message.code == "thread-failed" for e in stored.journal(level="alarm").items)
 
     with watching(stored, []):
         for times in (1, 2):
             broken.set()
-            wait_until(lambda: told() == times and len(looked) > 5 and all(looked[-3:]))  # noqa: B023
+            wait_until(lambda: faults() == times and len(looked) > 5 and all(looked[-3:]))  # noqa: B023
             broken.clear()
             wait_until(lambda: not any(looked[-3:]))
-    assert told() == 2
+    assert faults() == 2
 
 
 FEEDS = [

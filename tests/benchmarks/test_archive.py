@@ -57,7 +57,7 @@ def say(store):
     rng = np.random.default_rng(9)
     for run in range(RUNS):
         core = 20 + 80 * (1 - np.exp(-np.arange(SCANS) / 900)) + rng.normal(0, 0.05, SCANS)
-        said = []
+        lines = []
         for i, celsius in enumerate(core.tolist()):
             profile = [round(celsius + 100 * abs(z - 4) / 4, 1) for z in range(9)]
             detail = {
@@ -68,10 +68,10 @@ def say(store):
             detail |= {"peak_C": round(celsius + 9, 1), "band_from": {"constants": 0.612, "start": 0.1}}
             band = (celsius, 0.61 + i * 1e-7, celsius - 1.2, celsius + 1.2)
             at = SCANS * run + i
-            said.append(
+            lines.append(
                 StoredEstimate(at, 400.0 * run + i / 10, PressState.CLOSED, *band, True, "", "lab-7", detail)
             )
-        store.append_estimates("lab", said)
+        store.append_estimates("lab", lines)
 
 
 def read(store):

@@ -229,8 +229,8 @@ def table(answers):
         named = "; ".join("/".join(s) for s in sets(a))
         core = " -> ".join(f"{x:.2f}" for x in a["unseen_core_K"])
         rows[(" + ".join(a["hidden"]) or "nothing", a["runs"], f"{a['verdict']} {named}", core)] += 1
-    for (hidden, runs, said, core), count in sorted(rows.items()):
-        print(f"{hidden:50}{runs:<5}{said:62}{core} K{f'  x{count}' if count > 1 else ''}")
+    for (hidden, runs, names, core), count in sorted(rows.items()):
+        print(f"{hidden:50}{runs:<5}{names:62}{core} K{f'  x{count}' if count > 1 else ''}")
 
 
 def hits(a):
@@ -241,9 +241,9 @@ def hits(a):
             truth = a["truth"].get(e["name"], {}).get(p.name)
             if truth is None:
                 continue
-            told = e["parameters"][p.name]
-            near = abs(told["value"] - truth) <= 0.35 * abs(truth - p.neutral)
-            inside = told["ci95"][0] <= truth <= told["ci95"][1]
+            parameter = e["parameters"][p.name]
+            near = abs(parameter["value"] - truth) <= 0.35 * abs(truth - p.neutral)
+            inside = parameter["ci95"][0] <= truth <= parameter["ci95"][1]
             found.append({"inside": inside, "near": near, "alone": len(e["set"]) == 1, "shape": is_shape(p)})
     return found
 

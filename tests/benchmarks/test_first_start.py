@@ -53,7 +53,7 @@ print(json.dumps({"steps": steps, "compiled": spent}))
 def test_time_of_a_first_start(what, tmp_path):
     for start in ("first start", "later start"):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-        said = subprocess.run(
+        done = subprocess.run(
             [sys.executable, "-c", CHILD, what],
             capture_output=True,
             text=True,
@@ -61,7 +61,7 @@ def test_time_of_a_first_start(what, tmp_path):
             env=environment,
             cwd=tmp_path,
         ).stdout
-        found = json.loads(said.splitlines()[-1])
+        found = json.loads(done.splitlines()[-1])
         print(f"\n{what}, {start} ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f})")
         for step, wall, cpu in found["steps"]:
             print(f"  {step:32s} after {wall:6.1f} s, {cpu:6.1f} s of processor time")

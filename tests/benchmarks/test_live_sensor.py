@@ -146,17 +146,17 @@ def replay(run, model=MODEL):
     sensor = LiveSensor(PRESS, run.header, model)
     names = [n for n in run.columns if not n.startswith("core")]
     table = np.stack([run.columns[n] for n in names], axis=1).tolist()
-    said, spent = [], []
+    estimates, spent = [], []
     for t, row in zip(run.time_s.tolist(), table, strict=True):
         begun = time.thread_time()
-        said.append(sensor.update(t, dict(zip(names, row, strict=True))))
+        estimates.append(sensor.update(t, dict(zip(names, row, strict=True))))
         spent.append(time.thread_time() - begun)
-    return said, np.array(spent)
+    return estimates, np.array(spent)
 
 
 def live(run, earlier):
-    said, _ = replay(run, earlier.model)
-    return np.array([(e.core_C, e.core_low_C, e.core_high_C) for e in said])
+    estimates, _ = replay(run, earlier.model)
+    return np.array([(e.core_C, e.core_low_C, e.core_high_C) for e in estimates])
 
 
 def open_loop(run, earlier):

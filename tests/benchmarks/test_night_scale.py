@@ -91,7 +91,7 @@ def test_a_night_with_a_hundred_new_runs_over_all_that_is_stored(tmp_path, capsy
         "\n{stored:>9} stored, {new} new: looked through in {looked:.2f} s, {due} due, {fitted} fitted; "
         "the night {seconds:.1f} s, {mb:.0f} MB at most"
     )
-    told = {"stored": STORED, "looked": looked, "due": due, "mb": (night["memory_bytes"] or 0) / 1e6}
+    numbers = {"stored": STORED, "looked": looked, "due": due, "mb": (night["memory_bytes"] or 0) / 1e6}
     with capsys.disabled():
-        print(shape.format(**{**night, **told}))
+        print(shape.format(**{**night, **numbers}))
     assert (night["new"], due, night["fitted"]) == (NEW, NEW, NEW)

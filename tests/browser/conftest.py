@@ -63,24 +63,24 @@ def _patient(make: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="module")
-def told_by_demo() -> list[str]:
+def demo_lines() -> list[str]:
     """The lines of the demonstration, also those to come."""
     return []
 
 
 @pytest.fixture(scope="module")
-def demo(browser: Browser, told_by_demo: list[str]) -> Iterator[str]:
+def demo(browser: Browser, demo_lines: list[str]) -> Iterator[str]:
     """Start `kerntemp demo` and return the page's address."""
     command = [sys.executable, "-m", "api", "demo", "--speed", "20"]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    said, address = told_by_demo, ""
+    lines, address = demo_lines, ""
     for line in running.stdout:
-        said.append(line)
+        lines.append(line)
         if line.startswith("Page"):
             address = line.split()[1]
             break
-    assert address, "".join(said)
-    drain = threading.Thread(target=lambda: said.extend(running.stdout), daemon=True)
+    assert address, "".join(lines)
+    drain = threading.Thread(target=lambda: lines.extend(running.stdout), daemon=True)
     drain.start()
     yield address
     running.send_signal(signal.SIGINT)
@@ -145,10 +145,10 @@ class Feed:
             begin = NewRun(name, first, rows[0].utc, zero, {"panel.material": "MDF"}) if i == 0 else None
             self.store.append_scans(self.key, rows, events, begin)
             state = "closed" if due_at[1] < i + batch <= due_at[2] else "open"
-            said = [
+            estimates = [
                 StoredEstimate(scan.number, scan.monotonic_s, state, 50.0, 1.0, 48.0, 52.0, True) for scan in rows
             ]
-            self.store.append_estimates("lab", said)
+            self.store.append_estimates("lab", estimates)
             if self.stop.wait(self.pause_s):
                 break
         self.store.append_scans(self.key, [], end=RunEnd(name, self.number - 1, datetime.now(UTC)))

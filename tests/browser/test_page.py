@@ -37,10 +37,10 @@ def test_a_live_pressing_is_followed_from_closing_to_its_stored_run(open_page):
 
 
 def test_the_virtual_press_lays_in_the_panel_that_was_entered_by_a_token_the_demonstration_says_how_to_make(
-    open_page, told_by_demo, tmp_path
+    open_page, demo_lines, tmp_path
 ):
     page = open_page("#/now")
-    while not (commands := [line for line in told_by_demo if "kerntemp token" in line]):
+    while not (commands := [line for line in demo_lines if "kerntemp token" in line]):
         page.wait_for_timeout(100)
     command = shlex.split(commands[0][commands[0].index("kerntemp token") :])
     made = subprocess.run([sys.executable, "-m", "api", *command[1:]], capture_output=True, text=True, check=True)
@@ -53,11 +53,11 @@ def test_the_virtual_press_lays_in_the_panel_that_was_entered_by_a_token_the_dem
     card.get_by_role("button", name="Save").click()
     expect(card).to_contain_text("by operator")
     listed = "fetch('api/v1/runs?limit=3').then((answer) => answer.json()).then((list) => list.items)"
-    told = "run => fetch(`api/v1/runs/${run}`).then((answer) => answer.json())"
+    script = "run => fetch(`api/v1/runs/${run}`).then((answer) => answer.json())"
     so, deadline = [], time.monotonic() + 240
     while len(so) < 2 or so[1]["ended_utc"] is None:
         assert time.monotonic() < deadline, so
-        runs = [page.evaluate(told, run["run"]) for run in reversed(page.evaluate(listed))]
+        runs = [page.evaluate(script, run["run"]) for run in reversed(page.evaluate(listed))]
         so = [run for run in runs if run["header"].get("panel.thickness_mm") == 22]
         page.wait_for_timeout(200)
     first, second = so[:2]

@@ -110,7 +110,7 @@ def test_a_limit_of_drift_tells_what_the_control_chart_tells_from_that_size_on(s
     page.goto(server.url + "#/alarms")
     limits = page.get_by_test_id("alarm-limits")
     expect(limits).to_contain_text("Drift is raised by a coefficient's control chart, once enough pressings")
-    told = page.get_by_test_id("alarms").get_by_text("lab: h_pp_c is at 69 % of what it was since lab-20")
+    alarm = page.get_by_test_id("alarms").get_by_text("lab: h_pp_c is at 69 % of what it was since lab-20")
     for percent, times in (("40", 0), ("20", 1)):  # h_pp_c fell by 31 %
         limits.get_by_label("Drift of at least").fill(percent)
         limits.get_by_role("button", name="Save").click()
@@ -119,7 +119,7 @@ def test_a_limit_of_drift_tells_what_the_control_chart_tells_from_that_size_on(s
         comes(page, kept, f"(it) => it.drift_percent === {percent}")
         expect(limits).to_contain_text("by foreman")
         page.wait_for_timeout(2500 if not times else 0)
-        expect(told).to_have_count(times)
+        expect(alarm).to_have_count(times)
     page.screenshot(path=tmp_path / "alarms.png", full_page=True)
 
 
@@ -147,7 +147,9 @@ def test_the_band_of_a_tile_is_whole_and_few_tiles_keep_their_size(served, brows
         feed.store.register_press(name, CHANNELS, LAB.read_text(encoding="utf-8"))
     append = feed.store.append_estimates
     hot = {"core_celsius": 107.3, "core_low_celsius": 104.2, "core_high_celsius": 110.4}
-    feed.store.append_estimates = lambda press, said: append(press, [replace(one, **hot) for one in said])
+    feed.store.append_estimates = lambda press, estimates: append(
+        press, [replace(one, **hot) for one in estimates]
+    )
     feed.pause_s = 0.02
     writer = threading.Thread(target=feed.pressing, args=(60_000,), daemon=True)
     writer.start()
@@ -247,8 +249,8 @@ def test_a_face_that_is_not_known_is_called_so_beside_the_next_panel(served):
     faces = {"platen_top_C": None, "platen_bottom_C": None, "top_C": None, "bottom_C": 170.2}
 
     def answer(route):
-        told = route.fetch().json()
-        route.fulfill(json={**told, "items": [one | {"faces": faces} for one in told["items"]]})
+        now = route.fetch().json()
+        route.fulfill(json={**now, "items": [one | {"faces": faces} for one in now["items"]]})
 
     page.route(re.compile(r"/api/v1/press(\?.*)?$"), answer)
     page.add_init_script("localStorage.setItem('kerntemp-language', 'de')")

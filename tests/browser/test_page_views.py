@@ -121,15 +121,15 @@ def with_token(page: Page, token: str) -> None:
     page.add_init_script(f"sessionStorage.setItem('kerntemp-token', {token!r})")
 
 
-def tip_says(chart: Locator, said: str) -> None:
+def tip_says(chart: Locator, text: str) -> None:
     """Point at a chart until its tip says something: one that is drawn anew forgets where the pointer is."""
     tip, tries = chart.locator(".chart-tip"), PATIENT_MS // 4_000
     for number in range(tries):
         chart.locator(".u-over").hover(position={"x": 300 + 5 * (number % 4), "y": 60})
         with suppress(AssertionError):
-            expect(tip).to_contain_text(re.compile(said, re.DOTALL), timeout=4_000)
+            expect(tip).to_contain_text(re.compile(text, re.DOTALL), timeout=4_000)
             return
-    raise AssertionError(f"{tip.inner_text()!r} instead of {said!r}")
+    raise AssertionError(f"{tip.inner_text()!r} instead of {text!r}")
 
 
 def violations(page: Page) -> list[dict[str, Any]]:
@@ -259,7 +259,7 @@ def test_a_model_version_is_rolled_back_by_hand(plant):
 
 
 @pytest.mark.parametrize(
-    ("told", "says"),
+    ("state", "says"),
     [
         ({"age_s": 0.5, "left_out_K": -71.2}, "71 K below its neighbours, not used"),
         ({"age_s": 900.0}, "good"),
@@ -267,16 +267,16 @@ def test_a_model_version_is_rolled_back_by_hand(plant):
     ],
     ids=["left out", "old", "read"],
 )
-def test_a_channel_among_the_loggers_is_green_only_while_it_is_read_and_used(plant, told, says):
+def test_a_channel_among_the_loggers_is_green_only_while_it_is_read_and_used(plant, state, says):
     address, page, _ = plant
 
     def answer(route):
         channels = route.fetch().json()["items"]
-        route.fulfill(json={"items": [one | {"age_s": 0.5, "quality": "good"} | told for one in channels]})
+        route.fulfill(json={"items": [one | {"age_s": 0.5, "quality": "good"} | state for one in channels]})
 
     page.route("**/api/v1/channels*", answer)
     page.goto(address + "#/loggers")
-    tones = {"71": "bad", "good": "idle" if told["age_s"] > 1.0 else "good"}
+    tones = {"71": "bad", "good": "idle" if state["age_s"] > 1.0 else "good"}
     pills = page.get_by_test_id("loggers").locator("tbody .pill")
     expect(pills.first).to_have_text(says)
     expect(pills.first).to_have_class(f"pill wraps {tones[says.split()[0]]}")
@@ -623,7 +623,7 @@ window.AudioContext = class extends window.AudioContext {
 def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
     plant, served, browser, language, words, tmp_path
 ):
-    take, core, save, sound, notify, said = words
+    take, core, save, sound, notify, text = words
     address, _, token = plant
     feed = served[1]
     context = browser.new_context(locale=language, viewport={"width": 1280, "height": 900}, bypass_csp=True)
@@ -643,8 +643,8 @@ def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
     feed.pause_s = 0.05
     writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
     writer.start()
-    row = page.get_by_test_id("alarms").get_by_role("row", name=said)
-    page.wait_for_function(f"window.told.some((one) => one.includes({said!r}))")
+    row = page.get_by_test_id("alarms").get_by_role("row", name=text)
+    page.wait_for_function(f"window.told.some((one) => one.includes({text!r}))")
     row.get_by_role("button", name=take).click()
     expect(row).to_contain_text("foreman")
     page.wait_for_function("window.rung > 0")
@@ -658,7 +658,7 @@ def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
 def test_a_core_nobody_updates_any_more_gives_way_to_the_reason(served):
     server, feed, page = served
     feed.pause_s = 0.01
-    said = feed.store.append_estimates
+    append = feed.store.append_estimates
     writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
     writer.start()
     page.goto(server.url + "#/now")
@@ -667,7 +667,7 @@ def test_a_core_nobody_updates_any_more_gives_way_to_the_reason(served):
     expect(page.get_by_test_id("answer")).to_contain_text("the live sensor has given no estimate for")
     expect(page.get_by_test_id("band")).to_be_empty()  # why is told once
     expect(page.get_by_test_id("core")).to_have_text("–°C")
-    feed.store.append_estimates = said
+    feed.store.append_estimates = append
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
     feed.stop.set()
     writer.join(240)
@@ -781,14 +781,14 @@ def test_the_next_panel_is_entered_with_large_fields_and_the_last_one_is_judged(
     )  # a glove
     card.get_by_role("button", name="Save").click()
     expect(card).to_contain_text("by foreman")
-    said = page.evaluate("fetch('api/v1/press/next').then((answer) => answer.json())")
-    assert said["recipes"]["MDF 19"] == {"panel.thickness_mm": 19.5, "setting.core_target_C": 85}
+    answer = page.evaluate("fetch('api/v1/press/next').then((answer) => answer.json())")
+    assert answer["recipes"]["MDF 19"] == {"panel.thickness_mm": 19.5, "setting.core_target_C": 85}
     page.get_by_test_id("verdict").get_by_role("button", name="blister").click()
     chosen = page.get_by_test_id("verdict").get_by_role("button", pressed=True)
     expect(chosen).to_have_text("blister")
     run = page.evaluate("fetch('api/v1/press').then((answer) => answer.json())")["items"][0]["run"]
-    told = f"fetch('api/v1/runs/{run}/verdict').then((answer) => answer.json())"
-    comes(page, told, "(it) => it.verdict === 'blister' && it.who === 'foreman'")
+    answer = f"fetch('api/v1/runs/{run}/verdict').then((answer) => answer.json())"
+    comes(page, answer, "(it) => it.verdict === 'blister' && it.who === 'foreman'")
 
 
 def test_the_next_panel_is_shown_anew_when_a_pressing_took_what_was_said_unless_somebody_types(served):
@@ -852,9 +852,9 @@ def test_two_fingers_zoom_about_the_place_between_them(plant, browser, upright):
 
     def seconds_at(share):
         over.hover(position={"x": share * box["width"], "y": 40})
-        said = chart.locator(".chart-tip tr").first
-        expect(said).to_contain_text(" s")
-        return float(said.inner_text().split()[0])
+        tip = chart.locator(".chart-tip tr").first
+        expect(tip).to_contain_text(" s")
+        return float(tip.inner_text().split()[0])
 
     def two_fingers(kind, apart):
         x, y = box["x"] + 0.2 * box["width"], box["y"] + box["height"] / 2
@@ -961,9 +961,9 @@ def test_a_time_of_an_hour_and_more_is_put_in_hours_as_the_server_puts_it(plant)
     address, page, _ = plant
     page.goto(address)
     expect(page.locator("#link")).to_have_text("live")
-    told = page.evaluate("""import('./static/dom.js').then((dom) =>
+    texts = page.evaluate("""import('./static/dom.js').then((dom) =>
         [9.94, 125, 3679, 5400, 100000].map((s) => dom.duration(s).replaceAll('\u00a0', ' ')))""")
-    assert told == ["9.9 s", "2 min 5 s", "1 h 1 min", "1 h 30 min", "1 d 3 h"]
+    assert texts == ["9.9 s", "2 min 5 s", "1 h 1 min", "1 h 30 min", "1 d 3 h"]
 
 
 def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(plant):
@@ -1016,8 +1016,8 @@ def test_a_run_the_model_does_not_describe_is_marked_in_the_list(served):
     feed.pressing(scans=60, batch=10)
     good, bad = sorted(run.run for run in feed.store.runs(limit=10).items)
     warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K")).to_json()
-    for run, rmse, said in ((good, 0.3, []), (bad, 14.0, [warned])):
-        feed.store.put_fit(run, {"run": run, "coefficients": {}, "rmse_K": rmse, "warnings_said": said}, "")
+    for run, rmse, warnings in ((good, 0.3, []), (bad, 14.0, [warned])):
+        feed.store.put_fit(run, {"run": run, "coefficients": {}, "rmse_K": rmse, "warnings_said": warnings}, "")
     for width in (1280, 375):
         page.set_viewport_size({"width": width, "height": 800})
         page.goto(server.url + "#/runs")
@@ -1096,8 +1096,8 @@ def test_a_loose_sensor_has_its_own_curve_and_says_so(plant):
     warned = say("channel-loose", column="top_2", kelvin=19.1)
 
     def answer(route):
-        told = route.fetch().json()
-        route.fulfill(json={**told, "warnings": [str(warned)], "warnings_said": [warned.to_json()]})
+        content = route.fetch().json()
+        route.fulfill(json={**content, "warnings": [str(warned)], "warnings_said": [warned.to_json()]})
 
     page.route("**/runs/campaign-1/fit", answer)
     page.goto(address + "#/runs/campaign-1")
@@ -1158,12 +1158,12 @@ def test_a_low_charts_axis_tells_more_than_one_step(plant, browser):
     page.add_init_script(TICKS)
 
     def answer(route):
-        told = route.fetch().json()
-        for place in told["curves"]["places"]:
+        content = route.fetch().json()
+        for place in content["curves"]["places"]:
             for model in ("plain", "extended"):
                 count = len(place[f"{model}_residual_K"])
                 place[f"{model}_residual_K"] = [1.752 if i % 2 else -4.178 for i in range(count)]
-        route.fulfill(json=told)
+        route.fulfill(json=content)
 
     page.route("**/diagnoses/*/curves", answer)
     page.goto(plant[0] + "#/diagnosis")
@@ -1176,17 +1176,17 @@ def test_a_low_charts_axis_tells_more_than_one_step(plant, browser):
 def test_a_fit_that_ended_further_off_than_its_guesses_is_amber(plant):
     address, page, _ = plant
     fit = page.locator("[data-testid=fit]")
-    told = {}
+    changes = {}
 
     def answer(route):
-        route.fulfill(json={**route.fetch().json(), **told})
+        route.fulfill(json={**route.fetch().json(), **changes})
 
     page.route("**/runs/campaign-1/fit", answer)
     for first, left, tone, says in (
         (0.5, 0.9, "warn", "further off than its guesses"),
         (0.9, 0.5, "good", "converged"),
     ):
-        told.update(initial_rmse_K=first, rmse_K=left)
+        changes.update(initial_rmse_K=first, rmse_K=left)
         page.goto(address + "#/runs")
         page.goto(address + "#/runs/campaign-1")
         expect(fit.locator(".head .pill")).to_have_text(says)
@@ -1198,10 +1198,10 @@ def test_a_days_pressings_are_marked_by_the_clock_where_a_press_runs_faster_than
     address, page, _ = plant
     page.goto(address)
     run = {"run": "a", "started_utc": "2026-03-04T00:00:10Z", "ended_utc": "2026-03-04T00:00:20Z"}
-    told = [run | {"closed_s": 20.0, "opened_s": 100.0}]
+    runs = [run | {"closed_s": 20.0, "opened_s": 100.0}]
     marked = page.evaluate(
         "told => import('./static/views/day.js').then((day) => day.phasesOf(told, '2026-03-04T00:00:00Z', 20))",
-        told,
+        runs,
     )
     assert [(p["state"], p["from_s"], p["to_s"]) for p in marked] == [("open", 10, 20), ("closed", 11, 15)]
 
@@ -1213,8 +1213,10 @@ def test_a_run_says_what_was_sure_of_the_cure_at_opening_and_nothing_without_a_r
     expect(page.get_by_test_id("at-opening")).to_have_count(0)
 
     def answer(route):
-        told = route.fetch().json()
-        route.fulfill(json=told | {"cure_low": [0.6] * told["rows"], "grade": ["undercured"] * told["rows"]})
+        content = route.fetch().json()
+        route.fulfill(
+            json=content | {"cure_low": [0.6] * content["rows"], "grade": ["undercured"] * content["rows"]}
+        )
 
     page.route("**/runs/lab-0000000/estimates*", answer)
     page.reload()

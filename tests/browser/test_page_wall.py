@@ -197,19 +197,19 @@ def test_no_green_light_stands_beside_an_answer_that_is_not_known(pressing, serv
     light, answer, state = (page.locator(f".{part}").first for part in ("light", "answer", "pill"))
     expect(light).to_have_class("light good")
     expect(state).to_have_text("closed")
-    said = store.append_estimates
+    append = store.append_estimates
     store.append_estimates = lambda *_: None  # the live sensor hangs, and goes on giving signs of life
     expect(answer).to_contain_text("not known, because the live sensor has given no estimate for")
     expect(light).to_have_class("light bad")
     expect(light).to_contain_text("the live sensor has given no estimate for")
     expect(state).to_have_text("closed")
-    store.append_estimates = lambda press, estimates: said(
+    store.append_estimates = lambda press, estimates: append(
         press, [replace(e, valid=False, reason="band too wide") for e in estimates]
     )
     expect(answer).to_contain_text("not known, because core not observable")
     expect(light).to_have_class("light idle")
     expect(light).to_have_text("all runs, core not known")
-    store.append_estimates = said
+    store.append_estimates = append
     expect(light).to_have_class("light good")
 
 
@@ -262,14 +262,14 @@ def test_what_stands_beside_the_core_is_of_the_last_estimate_too(pressing, serve
     expect(page.locator(".facts")).to_contain_text("215")
     page.route("**/api/v1/press*", lambda route: route.abort())  # so that the stream alone tells
     page.wait_for_timeout(300)
-    told = store.append_estimates
+    append = store.append_estimates
     store.append_estimates = lambda *_: None
     page.wait_for_timeout(1000)
     for energy in (216.0, 217.0):  # two within the time in which the numbers are written once
         monkeypatch.setitem(AHEAD, "energy_kJ_m2", energy)
         now = store.open_run("lab")
         scan = feed.number - 1
-        told("lab", [StoredEstimate(scan, 1000.0 + 0.1 * scan, "closed", 50.0, 1.0, 48.0, 52.0, True)])
+        append("lab", [StoredEstimate(scan, 1000.0 + 0.1 * scan, "closed", 50.0, 1.0, 48.0, 52.0, True)])
         page.wait_for_timeout(200)
     assert now is not None
     expect(page.locator(".facts")).to_contain_text("217", timeout=2_000)
@@ -281,12 +281,12 @@ def test_a_core_that_ends_before_the_readings_says_why(pressing, served):
     page.goto(server.url + "#/now")
     expect(page.locator(".chart canvas").first).to_be_visible()
     expect(page.get_by_test_id("behind")).to_be_hidden()
-    told = store.append_estimates
+    append = store.append_estimates
     store.append_estimates = lambda *_: None
     expect(page.get_by_test_id("behind")).to_have_text(
         re.compile(r"The live sensor has not processed the last \d+\Ws of the readings: the core's curve ends")
     )
-    store.append_estimates = told
+    store.append_estimates = append
     expect(page.get_by_test_id("behind")).to_be_hidden()
 
 
@@ -375,8 +375,8 @@ def test_the_letters_of_the_walls_chart_grow_with_the_screen(pressing, browser, 
 def test_nothing_on_the_wall_covers_the_cores_unit(pressing, served, browser, width, height):
     server, _ = pressing
     store = served[1].store
-    said = store.append_estimates
-    store.append_estimates = lambda press, estimates: said(
+    append = store.append_estimates
+    store.append_estimates = lambda press, estimates: append(
         press, [replace(e, core_celsius=107.3, core_high_celsius=110.0) for e in estimates]
     )
     page = browser.new_page(viewport={"width": width, "height": height}, locale="en-GB")
@@ -422,5 +422,5 @@ def test_machines_are_given_the_advice_the_page_shows(pressing):
     page.goto(server.url + "#/now")
     asked = "fetch('api/v1/advice').then((answer) => answer.json()).then((told) => told.items[0])"
     counted = "it.press === 'lab' && it.advice.verdict === 'open_in' && it.advice.open_latest_s > 10"  # from now
-    told = comes(page, asked, f"(it) => {counted}")
-    assert told["advice"]["open_latest_s"] <= 15.0
+    item = comes(page, asked, f"(it) => {counted}")
+    assert item["advice"]["open_latest_s"] <= 15.0

@@ -46,9 +46,9 @@ def main():
     for one in asked.parse_args().campaigns:
         names, _, seed = one.partition(":")
         for row in answers(names.split("+"), int(seed)):
-            name, truth, beside, alone, told = row
+            name, truth, beside, alone, shown = row
             print(
-                f"{one:60}{name:36}{truth:10.4g}  alone {alone}  told {told}  suspected {beside or '-'}",
+                f"{one:60}{name:36}{truth:10.4g}  alone {alone}  told {shown}  suspected {beside or '-'}",
                 flush=True,
             )
             rows.append(row)

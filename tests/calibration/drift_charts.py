@@ -65,8 +65,8 @@ def main(presses: int, seed: int) -> None:
         for change, over in ((-0.1, 1), (-0.1, 30), (-0.3, 1)):
             late = noticed(rng, presses, spread, change, over)
             kind = "at once" if over == 1 else f"over {over}"
-            told = f"{np.median(late):4.0f} {late.mean():6.1f} {np.percentile(late, 90):4.0f}"
-            print(f"  scatter {spread:.0%}, {change:+.0%} {kind:8s} {told}")
+            text = f"{np.median(late):4.0f} {late.mean():6.1f} {np.percentile(late, 90):4.0f}"
+            print(f"  scatter {spread:.0%}, {change:+.0%} {kind:8s} {text}")
 
 
 if __name__ == "__main__":

@@ -67,13 +67,13 @@ def answer(name: str, seed: int) -> tuple[str, str]:
     stages, rounds = search_all(base, None, lambda *_: None, cool_rim(readings.rim))
     found = _conclude(readings, stages, rounds)
     sets = [f.set for f in found.findings if not f.of_channels or name == f.name]
-    said = f"{found.verdict} {[' or '.join(one) for one in sets]}, suspected {[f.name for f in found.suspected]}"
+    text = f"{found.verdict} {[' or '.join(one) for one in sets]}, suspected {[f.name for f in found.suspected]}"
     right = any(name in one and len(one) <= LARGEST_SET for one in sets)
     wrong = any(name not in one for one in sets)
     ended = "wrong" if wrong else "named or in a set" if right else "not named" if name else "nothing, no name"
     if not name and min(rounds[0].p_values.values(), default=1.0) <= ALPHA:
         ended = f"{ended}, p at most {ALPHA}"
-    return ended, f"{said}\n    {_shown(name, rounds[0], Evidence(RUNS, core_errors(base.fit, base.data)), base)}"
+    return ended, f"{text}\n    {_shown(name, rounds[0], Evidence(RUNS, core_errors(base.fit, base.data)), base)}"
 
 
 def _shown(name: str, search: Round, evidence: Evidence, base: SettledModel) -> str:
@@ -91,9 +91,9 @@ def main(cases: list[str]) -> None:
     ends: Counter[str] = Counter()
     for case in cases:
         name, _, seed = case.partition(":")
-        ended, said = answer(name, int(seed))
+        ended, text = answer(name, int(seed))
         ends[ended] += 1
-        print(f"{case:36} {ended:20} {said}", flush=True)
+        print(f"{case:36} {ended:20} {text}", flush=True)
     print(", ".join(f"{ended}: {count}" for ended, count in sorted(ends.items())))
 
 

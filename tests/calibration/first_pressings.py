@@ -40,8 +40,8 @@ def main(seeds):
                 half, inside = (np.concatenate([run[i] for run in runs]) for i in range(2))
                 shares = " ".join(f"{run[1].mean():.2f}" for run in runs if len(run[1]))
                 valid = np.mean([run[2] for run in runs])
-                told = f"{valid:5.0%} {inside.mean():8.0%} {half.mean():7.1f}"
-                print(f"{name:6s} {cause or 'nothing':26s} {thickness:4.0f}  {told}  {shares}", flush=True)
+                text = f"{valid:5.0%} {inside.mean():8.0%} {half.mean():7.1f}"
+                print(f"{name:6s} {cause or 'nothing':26s} {thickness:4.0f}  {text}  {shares}", flush=True)
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ def answered(seed, hidden, right, curve):
     return Answer(law.set, float(np.mean((true >= low) & (true <= high))), float(off), law.gain.value_K)
 
 
-def told(name, answers, right):
+def line_of(name, answers, right):
     """Return a case in a line."""
     claimed = [a for a in answers if a.set]
     sure = sum(len(a.set) <= 2 and not set(right).isdisjoint(a.set) for a in claimed)
@@ -126,7 +126,7 @@ def main():
             answers.append(found := answered(seed, hidden, right, curve))
             figures = f"{100 * found.inside:.0f} % in its band, off by {100 * found.off:.0f} %, {found.gain:.2f} K"
             print(f"  {name} {seed}: {', '.join(found.set) or '-'}, {figures}", flush=True)
-        print(told(name, answers, right), flush=True)
+        print(line_of(name, answers, right), flush=True)
 
 
 if __name__ == "__main__":

@@ -78,20 +78,20 @@ def followed(press: Press, run: Run, truth: Array, model: ModelFile | None, hidd
     seen = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
     rows, closed, opened = [], np.inf, np.inf
     for i, time_s in enumerate(run.time_s.tolist()):
-        said = sensor.update(time_s, {name: values[i] for name, values in seen.items()})
-        closed = min(closed, time_s) if said.state is PressState.CLOSED else closed
-        opened = min(opened, time_s) if said.state is PressState.OPEN and closed < np.inf else opened
+        estimate = sensor.update(time_s, {name: values[i] for name, values in seen.items()})
+        closed = min(closed, time_s) if estimate.state is PressState.CLOSED else closed
+        opened = min(opened, time_s) if estimate.state is PressState.OPEN and closed < np.inf else opened
         phase = -1 if time_s < closed else 2 if time_s >= opened else 0 if time_s < closed + 10.0 else 1
         mixture, core = sensor.mixture, float(truth[i])
-        if phase < 0 or not np.isfinite(core) or said.state is PressState.IDLE:
+        if phase < 0 or not np.isfinite(core) or estimate.state is PressState.IDLE:
             continue
-        if not said.valid or mixture is None:
+        if not estimate.valid or mixture is None:
             rows.append((time_s, phase, core, 0.0, *[np.nan] * 7))
             continue
         w, mean, sd = mixture.components.weight, mixture.components.mean, np.sqrt(mixture.components.variance)
-        mean = mean + said.core_C - mixture.core_C
-        inside = float(said.core_low_C <= core <= said.core_high_C)
-        half, error = (said.core_high_C - said.core_low_C) / 2, said.core_C - core
+        mean = mean + estimate.core_C - mixture.core_C
+        inside = float(estimate.core_low_C <= core <= estimate.core_high_C)
+        half, error = (estimate.core_high_C - estimate.core_low_C) / 2, estimate.core_C - core
         rows.append(
             (
                 time_s,
@@ -151,7 +151,7 @@ def best_noise(press: Press, earlier: Sequence[tuple[Run, Truth]], model: ModelF
     return min(NOISES.tolist(), key=scored)
 
 
-def told(name: str, rows: Rows) -> None:
+def print_table(name: str, rows: Rows) -> None:
     """Print a campaign's table."""
     for number, phase in ((-1, "pooled"), *enumerate(PHASES)):
         part = rows if number < 0 else rows.only(rows.phase == number)
@@ -262,7 +262,7 @@ def _rig(core: str, hidden: Sequence[str]) -> Rows:
         fits = fit_campaign(plain, [*runs[:i], *runs[i + 1 :]])
         model = with_missing_causes(fits.model_file(), fits.runs)
         found.append(followed(press, run, run.columns[core], model, hidden))
-        told(f"  {run.name[:20]}", found[-1])
+        print_table(f"  {run.name[:20]}", found[-1])
     return Rows.joined(found)
 
 
@@ -348,7 +348,7 @@ def _pine_after(constants: tuple[float, float]) -> Rows:
         fits = fit_campaign(press, [before])
         model = with_missing_causes(fits.model_file(), fits.runs)
         found.append(followed(press, run, run.columns["core_1"], model, ["depth_17_2mm"]))
-        told(f"  {run.name[-20:]}", found[-1])
+        print_table(f"  {run.name[-20:]}", found[-1])
     return Rows.joined(found)
 
 
@@ -374,7 +374,7 @@ def inert_board() -> Rows:
     for core, depth in BOARD_CORE.items():
         press = plain.model_copy(update={"core": Core(at=At(layer="board", depth_mm=depth))})
         found.append(followed(press, run, run.columns[core], None, [core]))
-        told(f"  {core} hidden", found[-1])
+        print_table(f"  {core} hidden", found[-1])
     return Rows.joined(found)
 
 
@@ -417,7 +417,7 @@ def main(chosen: list[str]) -> None:
     for name, one in sets.items():
         if name in chosen or not chosen:
             rows = one()
-            told(name, rows)
+            print_table(name, rows)
             if folder is not None:
                 pictured(folder, f"band_{name}", rows)
 

@@ -125,9 +125,9 @@ def delays(rng: np.random.Generator, nothing: list[np.ndarray], seed: int, press
                 tests = [tested_after(score, of, nights, held) for held in (JUDGES, 0)]
                 late.append([*tests, max(sure_after(score - least), BEGINS)])
             late = np.array(late) - BEGINS
-            told = "   ".join(f"{np.median(x):4.0f} {np.percentile(x, 90):4.0f}" for x in late.T)
+            text = "   ".join(f"{np.median(x):4.0f} {np.percentile(x, 90):4.0f}" for x in late.T)
             ratio = np.median(late[:, 2]) / np.median(late[:, 0])
-            print(f"  {cause:26s} {'whole' if scale == 1.0 else 'half':6s} {told}   ratio {ratio:.1f}", flush=True)
+            print(f"  {cause:26s} {'whole' if scale == 1.0 else 'half':6s} {text}   ratio {ratio:.1f}", flush=True)
 
 
 def real_nights(seed: int, nights: int = 20, first: int = 10) -> None:
@@ -147,8 +147,8 @@ def real_nights(seed: int, nights: int = 20, first: int = 10) -> None:
             outcome = refit_press(store, "lab", PRESS, workers=1)
             bets = Progress.of(store, "lab").bets
             average = math.inf if bets.sure else bets.average
-            told = f"{outcome.verdict} {' + '.join(outcome.named)}  {outcome.reason}"
-            print(f"{number:5d} {average:8.3f} {at_once[number - 1]:8.3f}  {told}", flush=True)
+            text = f"{outcome.verdict} {' + '.join(outcome.named)}  {outcome.reason}"
+            print(f"{number:5d} {average:8.3f} {at_once[number - 1]:8.3f}  {text}", flush=True)
 
 
 def nothing_hidden(seed: int) -> list[np.ndarray]:

@@ -58,9 +58,9 @@ def live_answer() -> dict[str, Any]:
 
 def diagnosis_answer() -> dict[str, Any]:
     """Return verdict and names, and the parameters named or suspected with their standard deviations."""
-    told = softsensor.diagnose(RUNS, PRESS).content
-    found: dict[str, Any] = {"verdict": told["verdict"], "named": str([e["name"] for e in told["effects"]])}
-    for effect in told["effects"]:
+    content = softsensor.diagnose(RUNS, PRESS).content
+    found: dict[str, Any] = {"verdict": content["verdict"], "named": str([e["name"] for e in content["effects"]])}
+    for effect in content["effects"]:
         for name, p in effect["parameters"].items():
             found[f"{effect['name']}.{name}"] = (p["value"], (p["ci95"][1] - p["ci95"][0]) / 4.0)
     return found

@@ -66,7 +66,7 @@ def fleet(seed):
     return [followed(PRESS, run, t.core_C, model) for (run, t), model in zip(pressed, known, strict=True)]
 
 
-def told(rows):
+def scores_of(rows):
     """Return error, half-width, share in the band and share valid."""
     good = rows.only(rows.valid > 0)
     return (np.sqrt(np.mean(good.error**2)), good.half.mean(), good.inside.mean(), rows.valid.mean())
@@ -76,8 +76,8 @@ def main(seeds):
     found = [fleet(seed) for seed in seeds]
     print(f"{'':32s} error K  half K  in band  valid   errors by seed")
     for i, name in enumerate(NAMED):
-        error, half, inside, valid = told(Rows.joined([one[i] for one in found]))
-        each = " ".join(f"{told(one[i])[0]:.2f}" for one in found)
+        error, half, inside, valid = scores_of(Rows.joined([one[i] for one in found]))
+        each = " ".join(f"{scores_of(one[i])[0]:.2f}" for one in found)
         print(f"{name:32s} {error:7.2f} {half:7.1f} {inside:8.0%} {valid:6.0%}   {each}", flush=True)
 
 

@@ -64,7 +64,7 @@ def ahead(run, opened_s):
 
 
 def main(seeds):
-    for told, press_time_s in PRESS_TIMES_S.items():
+    for label, press_time_s in PRESS_TIMES_S.items():
         pressings = [make_campaign(seed, 1, None, replace(PLAN, press_time_s=press_time_s))[0] for seed in seeds]
         right, slow = (
             np.array(
@@ -81,7 +81,7 @@ def main(seeds):
                 f"{name} {v.min():6.1f} to {v.max():5.1f}, mean {v.mean():5.1f}"
                 for name, v in (("right", honest), ("slow", wrong))
             )
-            print(f"pressed for {told:12s} {when:8s} nats: {shown}  slow ones found {found:4.0%}", flush=True)
+            print(f"pressed for {label:12s} {when:8s} nats: {shown}  slow ones found {found:4.0%}", flush=True)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ SHARE = thermocouple_footprint.EFFECT
 WEIGHT = SHARE.parameters[0]
 
 
-def told(hidden: str | None, seed: int) -> str:
+def evidence_of(hidden: str | None, seed: int) -> str:
     """Return what eight runs tell, beside the truth."""
     model = ThermalModel(PRESS)
     campaign = make_campaign(seed, RUNS, hidden, PLAN)
@@ -68,7 +68,7 @@ def main(cases: list[str]) -> None:
     """Print a line for each campaign, given as EFFECT:SEED, without EFFECT for nothing hidden."""
     for case in cases:
         hidden, _, seed = case.partition(":")
-        sys.stdout.write(told(hidden or None, int(seed)) + "\n")
+        sys.stdout.write(evidence_of(hidden or None, int(seed)) + "\n")
         sys.stdout.flush()
 
 

@@ -69,11 +69,11 @@ def followed(run, truth):
     """Return of valid scans half-width and distance beyond the band [K], their share, and nats by `AFTER_S`."""
     sensor, rows, ahead = LiveSensor(PRESS, run.header, MODEL), [], {}
     for i, time_s in enumerate(run.time_s.tolist()):
-        said = sensor.update(time_s, {name: float(values[i]) for name, values in run.columns.items()})
+        estimate = sensor.update(time_s, {name: float(values[i]) for name, values in run.columns.items()})
         core = truth.core_C[i]
-        if said.valid:
-            reach = (said.core_high_C - said.core_low_C) / 2
-            rows.append((reach, max(said.core_low_C - core, core - said.core_high_C)))
+        if estimate.valid:
+            reach = (estimate.core_high_C - estimate.core_low_C) / 2
+            rows.append((reach, max(estimate.core_low_C - core, core - estimate.core_high_C)))
         for after_s in AFTER_S:
             if time_s < truth.moments.closed_s + after_s and (current := sensor._run.passes.current) is not None:
                 ahead[after_s] = _ahead(current.filters)
@@ -91,8 +91,8 @@ def _ahead(filters):
 
 
 def main(seeds):
-    for told, press_time_s in PRESS_TIMES_S.items():
-        print(f"\npressed for {told:32s} valid  half K  missed  at worst    nats 30, 60 s")
+    for label, press_time_s in PRESS_TIMES_S.items():
+        print(f"\npressed for {label:32s} valid  half K  missed  at worst    nats 30, 60 s")
         found = {}
         for seed in seeds:
             for lie, run, truth in pressings(seed, press_time_s):

@@ -41,8 +41,10 @@ class Instrument:
 
 
 def scans_of(instruments, period_s, count, speed=1.0, between=lambda number: None):
-    said, stop = [], threading.Event()
-    threads = [LoggerThread(f"logger {i}", x, lambda *what: said.append(what)) for i, x in enumerate(instruments)]
+    messages, stop = [], threading.Event()
+    threads = [
+        LoggerThread(f"logger {i}", x, lambda *what: messages.append(what)) for i, x in enumerate(instruments)
+    ]
     scanner = Scanner(threads, period_s, speed, first_number=7)
     scanner.start(stop)
     scans = []
@@ -52,7 +54,7 @@ def scans_of(instruments, period_s, count, speed=1.0, between=lambda number: Non
     stop.set()
     scanner.join(240.0)
     assert all(x.closed for x in instruments if isinstance(x, Instrument))
-    return scans, said, threads
+    return scans, messages, threads
 
 
 class Counter(Instrument):
@@ -95,24 +97,24 @@ def test_a_slow_logger_leaves_gaps_and_the_fast_one_misses_nothing():
 
 
 def test_a_scan_says_how_many_ticks_went_by_before_it():
-    told = []
+    counts = []
     stop = threading.Event()
     scanner = Scanner([LoggerThread("a", Instrument("a"), lambda *what: None)], 0.05, 1.0, first_number=0)
     scanner.start(stop)
     scans = []
     for number in range(12):
         scans.append(scanner.scan(stop))
-        told.append(scanner.left_out)
+        counts.append(scanner.left_out)
         if number == 5:
             time.sleep(0.22)  # a machine that is too busy
     stop.set()
     scanner.join(240.0)
     ticks = (scans[-1].monotonic_s - scans[0].monotonic_s) / 0.05
-    still_untold = scanner.missed_ticks - sum(told)  # those right after the last scan, where the machine is busy
-    assert told[7] >= 3, "the first scan afterwards is late itself, the next one has ticks before it"
+    still_untold = scanner.missed_ticks - sum(counts)  # those right after the last scan, where the machine is busy
+    assert counts[7] >= 3, "the first scan afterwards is late itself, the next one has ticks before it"
     assert still_untold >= 0
     # A scan stands at its tick or, by as many ticks as are then left out and the one it began in, after it.
-    assert -(told[1] + 1) <= ticks - (11 + sum(told)) <= still_untold + 1
+    assert -(counts[1] + 1) <= ticks - (11 + sum(counts)) <= still_untold + 1
 
 
 @pytest.mark.parametrize(

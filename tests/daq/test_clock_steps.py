@@ -135,17 +135,17 @@ def test_whatever_a_clock_is_set_to_every_pressing_is_a_run_and_every_step_is_to
         assert max(there.values()) == 1
         assert kept.keys() <= there.keys() <= put.keys()
         assert killed or put == kept
-        said = store.journal(level="warning", limit=10_000).items[::-1]
-        told = [e.detail["step_s"] for e in said if e.message.code == "clock-set"]
-        assert told == pytest.approx(one.set_at_s, abs=0.5)
-        assert any(e.message.code == "run-renamed" for e in said)
+        entries = store.journal(level="warning", limit=10_000).items[::-1]
+        steps = [e.detail["step_s"] for e in entries if e.message.code == "clock-set"]
+        assert steps == pytest.approx(one.set_at_s, abs=0.5)
+        assert any(e.message.code == "run-renamed" for e in entries)
         assert not store.journal(level="alarm").items
         runs = store.runs(limit=10_000).items
         begun, recorded = [run.zero_monotonic_s for run in runs], [at for what, at in there if what == "scan"]
         truly = [cycle.moments for cycle in made.press.cycles]
         seen = [m.inserted_s + made.began * made.speed for m in truly]
         seen = [at for at in seen if whole(recorded, at - 10.0, at + QUICK.open_after_s[1])]
-        print(f"{len(told)} steps, {len(seen)} pressings seen whole, {len(begun)} runs, {there.total()} rows")
+        print(f"{len(steps)} steps, {len(seen)} pressings seen whole, {len(begun)} runs, {there.total()} rows")
         assert begun
         if not killed:  # before the closing, a kill leaves no run of a panel that came in a gap between two scans
             assert all(any(at - 45.0 < zero < at + 2.0 for zero in begun) for at in seen)

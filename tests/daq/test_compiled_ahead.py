@@ -43,9 +43,9 @@ def start(tree):
 
 
 def made_by(*processes):
-    told = [process.communicate(timeout=240)[0] for process in processes]
+    outputs = [process.communicate(timeout=240)[0] for process in processes]
     assert not any(process.returncode for process in processes)
-    return [name for line in told for name in line.split()]
+    return [name for line in outputs for name in line.split()]
 
 
 COMPILE = "compiled_ahead.compile_ahead(functions); print(*made)"

@@ -119,7 +119,7 @@ def test_a_wire_named_like_a_sensor_is_refused_since_a_face_would_take_it_in(fol
     ):
         load_config(folder / "kerntemp.toml")
     press = (folder / "lab.toml").read_text()
-    for wires, said in (
+    for wires, expected in (
         (
             'pressure = { column = "bottom_bar", closed_above = 2 }',
             "press.pressure.column = 'bottom_bar': would be",
@@ -129,7 +129,7 @@ def test_a_wire_named_like_a_sensor_is_refused_since_a_face_would_take_it_in(fol
     ):
         (folder / "lab.toml").write_text(press.replace("[press]\n", f"[press]\n{wires}\n"))
         (folder / "kerntemp.toml").write_text(GOOD)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=expected):
             load_config(folder / "kerntemp.toml")
 
 

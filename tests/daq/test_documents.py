@@ -76,8 +76,8 @@ def test_names_and_header_values_that_the_model_does_not_allow_are_told_in_its_w
     documents = list(documents_of(run, EPOCH, {"load kg/m2": "kg/m2"}))
     for name, content in documents:
         event_model.schema_validators[event_model.DocumentNames[name]].validate(content)
-    told = documents[0][1]["header"]
-    assert told == {
+    kept = documents[0][1]["header"]
+    assert kept == {
         "shifts": [began.isoformat(), 2],
         "panel": {"lot:number": 7},
         "limit": "inf",
@@ -94,7 +94,7 @@ def test_names_and_header_values_that_the_model_does_not_allow_are_told_in_its_w
 
 
 def test_the_documents_of_a_run_of_unknown_date_say_so_and_count_from_its_start():
-    told = dict(documents_of(RUN, None))
-    assert (told["start"]["time_unknown"], told["start"]["time"]) == (True, 0.0)
-    event_model.schema_validators[event_model.DocumentNames.start].validate(told["start"])
+    documents = dict(documents_of(RUN, None))
+    assert (documents["start"]["time_unknown"], documents["start"]["time"]) == (True, 0.0)
+    event_model.schema_validators[event_model.DocumentNames.start].validate(documents["start"])
     assert "time_unknown" not in dict(documents_of(RUN, EPOCH))["start"]

@@ -239,9 +239,9 @@ def test_an_icp_module_tells_its_first_reading_after_power_on():
     assert [module.answer(ask)[3] for _ in range(2)] == [1, 0]
 
 
-@pytest.mark.parametrize(("scaling", "told"), [("unit", 1.0), ("inverted", 0.0)])
+@pytest.mark.parametrize(("scaling", "expected"), [("unit", 1.0), ("inverted", 0.0)])
 @pytest.mark.parametrize("transport", ["serial", "tcp"])
-def test_a_limit_switch_on_a_digital_input_is_a_channel_of_0_and_1_either_way_round(transport, scaling, told):
+def test_a_limit_switch_on_a_digital_input_is_a_channel_of_0_and_1_either_way_round(transport, scaling, expected):
     switches = Switches()
     override = {
         "inputs": 8,
@@ -258,5 +258,5 @@ def test_a_limit_switch_on_a_digital_input_is_a_channel_of_0_and_1_either_way_ro
             open_ = logger.read()
             switches.open_inputs.add(3)
             closed = logger.read()
-    assert (open_.values, closed.values) == ((1.0 - told,), (told,))
+    assert (open_.values, closed.values) == ((1.0 - expected,), (expected,))
     assert set(open_.qualities + closed.qualities) == {Quality.GOOD}

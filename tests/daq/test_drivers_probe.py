@@ -84,14 +84,14 @@ def test_an_unknown_device_gets_a_generic_map_from_its_registers():
 def test_each_module_on_a_bus_is_proposed_at_its_own_address():
     first = station("adam-4118", room("adam-4118"), address=2, refresh_s=0)
     second = station("m-7019r", room("m-7019r"), address=3, refresh_s=0)
-    said = []
+    lines = []
     with serve_serial(first, second) as server:
         report = probe(
             wire_of(server),
             stations=(1, 2, 3),
             profiles=["adam-4118", "m-7019r"],
             timeout_s=0.15,
-            progress=said.append,
+            progress=lines.append,
         )
     assert report.stations == (2, 3)
     assert [(p.settings["profile"], p.settings["address"]) for p in report.proposals] == [
@@ -99,7 +99,7 @@ def test_each_module_on_a_bus_is_proposed_at_its_own_address():
         ("m-7019r", 3),
     ]
     assert {block.station for block in report.registers} == {2, 3}
-    assert any("station 1" in str(line) for line in said)
+    assert any("station 1" in str(line) for line in lines)
 
 
 def test_a_silent_wire_proposes_nothing_and_says_why():

@@ -209,9 +209,9 @@ def test_bare_millivolts_are_turned_into_temperature_with_the_cold_junction_of_t
     measured = round(1000 * float(voltage(180.0) - voltage(24.0)))
     values, _ = read(profile, (measured, measured), cold=24.0)
     assert values == pytest.approx((180.0, 180.0), abs=0.02)
-    told = settings("generic", channels=("a", "b"), baud=9600, address=1, override=merged(GENERIC, changes))
+    configured = settings("generic", channels=("a", "b"), baud=9600, address=1, override=merged(GENERIC, changes))
     with pytest.raises(InputError, match="give cold_junction_C"):
-        profile_for(told)
+        profile_for(configured)
 
 
 def test_the_implied_cold_junction_survives_broken_channels():

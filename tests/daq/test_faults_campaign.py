@@ -61,7 +61,7 @@ def telling(first, inputs):
     return temperatures
 
 
-def told(value):
+def channel_and_time(value):
     """Return channel number and conversion time within the period."""
     channel = round((value - BASE_C - SWING_K / 2) / CHANNEL_K)
     return channel, (value - BASE_C - CHANNEL_K * channel) / SWING_K * PERIOD_S
@@ -215,7 +215,7 @@ def read_into(tally, logger, wired):
         if not quality.usable:
             tally.other_quality[quality] += 1
             continue
-        channel, told_s = told(value)
+        channel, told_s = channel_and_time(value)
         if channel != wired.first + k:
             tally.mixed.append((wired.first + k, channel, round(told_s, 2), reading))
         age_s = (reading.received_s - told_s) % PERIOD_S

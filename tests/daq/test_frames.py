@@ -70,9 +70,9 @@ def test_qualities_stand_beside_the_values_they_are_of(faults):
     table = daq.qualities_of(run)
     back = daq.frame_of(daq.run_of(daq.frame_of(run)))
     assert back["quality"].tolist() == list(texts)
-    for row, said in enumerate(faults):
+    for row, fault in enumerate(faults):
         for name in ("top_1", "bottom_1"):
-            quality = said.get(name, said.get("*", Quality.GOOD))
+            quality = fault.get(name, fault.get("*", Quality.GOOD))
             assert table[name].iloc[row] == str(quality)
             assert np.isnan(run.columns[name][row]) == (not quality.usable)
 
@@ -149,33 +149,33 @@ def test_durations_are_taken_in_seconds(kind, place):
 def test_a_column_of_instants_is_read_as_an_index_of_them(zone):
     instants = pd.date_range("2026-10-25 01:59:58", periods=4, freq="500ms", tz=zone)
     frame = pd.DataFrame({"top_1": [1.0, 2.0, 3.0, 4.0]}, index=instants)
-    told = daq.run_of(frame)
+    read = daq.run_of(frame)
     for column in (instants, instants.astype(object)):
         run = daq.run_of(frame.reset_index(drop=True).assign(time_s=column))
-        assert run.time_s.tolist() == told.time_s.tolist() == [0.0, 0.5, 1.0, 1.5]
-        assert run.header == told.header
+        assert run.time_s.tolist() == read.time_s.tolist() == [0.0, 0.5, 1.0, 1.5]
+        assert run.header == read.header
 
 
 @pytest.mark.parametrize("utc", [True, False])
-@pytest.mark.parametrize("told", ["attrs", "nothing"])
+@pytest.mark.parametrize("layout", ["attrs", "nothing"])
 @pytest.mark.filterwarnings("ignore:header key own.day is not known")
-def test_a_table_of_instants_goes_through_parquet_and_back(tmp_path, utc, told):
+def test_a_table_of_instants_goes_through_parquet_and_back(tmp_path, utc, layout):
     index = pd.date_range("2026-10-25 01:59:58.000000123", periods=4, freq="500ms", tz="Europe/Berlin")
     run = daq.run_of(pd.DataFrame({"top_1": [20.0, np.nan, 22.0, 23.0], "remark": list("abcd")}, index=index))
     ended = datetime(2026, 10, 25, 1, 0, tzinfo=UTC)
     run = replace(run, header={**run.header, "recorded.ended_utc": ended, "own.day": ended.date()})
     frame = daq.frame_of(run, utc=utc)
     assert frame.attrs["own.day"] == "2026-10-25"
-    if told == "nothing":
+    if layout == "nothing":
         frame.attrs.clear()
     frame.to_parquet(tmp_path / "run.parquet")
     for back in (daq.run_of(pd.read_parquet(tmp_path / "run.parquet")), read_run(tmp_path / "run.parquet")):
         assert back.time_s.tobytes() == run.time_s.tobytes()
         assert back.columns["top_1"].tobytes() == run.columns["top_1"].tobytes()
         assert back.texts == run.texts
-        if utc or told == "attrs":
+        if utc or layout == "attrs":
             assert back.header["recorded.started_utc"] == run.header["recorded.started_utc"]
-        if told == "attrs":
+        if layout == "attrs":
             assert back.header == {**run.header, "run": run.name, "own.day": "2026-10-25"}
 
 

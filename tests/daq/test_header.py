@@ -45,23 +45,23 @@ def test_a_mistyped_header_key_is_refused_with_the_one_that_was_meant(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "expected"),
     [
         (4301 * "9", "a whole number with more than 300 digits"),
         (3000 * "[" + 3000 * "]", "more than 16 deep"),
         (3000 * "{a=" + "1" + 3000 * "}", "more than 16 deep"),
     ],
 )
-def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_by_line(tmp_path, value, said):
-    with pytest.raises(InputError, match=rf"x\.csv: line 1: .*{said}"):
+def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_by_line(tmp_path, value, expected):
+    with pytest.raises(InputError, match=rf"x\.csv: line 1: .*{expected}"):
         read_run(file_with(tmp_path, f"x = {value}"))
 
 
 @pytest.mark.parametrize("line", ['boundary = "x"', "layer = []", 'press = "x"', 'setting = "x"'])
 def test_a_table_of_the_press_file_without_its_key_is_kept_with_a_word(tmp_path, line):
     key = line.partition(" ")[0]
-    said = [str(doubt) for doubt in doubts(read_run(file_with(tmp_path, line)).header)]
-    assert said == [f"header key {key} is not known; it is kept, and nothing uses it"]
+    texts = [str(doubt) for doubt in doubts(read_run(file_with(tmp_path, line)).header)]
+    assert texts == [f"header key {key} is not known; it is kept, and nothing uses it"]
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_keys_of_today_and_of_a_plants_own_settings_are_read_without_a_word(tmp_
 
 def test_a_key_that_nothing_knows_is_kept_exported_and_doubted_once(tmp_path):
     run = read_run(file_with(tmp_path, 'panel.supplier = "north"', "shift = 2"))
-    assert [str(said) for said in doubts(run.header)] == [
+    assert [str(doubt) for doubt in doubts(run.header)] == [
         "header key panel.supplier is not known; it is kept, and nothing uses it",
         "header key shift is not known; it is kept, and nothing uses it",
     ]
@@ -109,8 +109,8 @@ def test_a_key_that_nothing_knows_is_kept_exported_and_doubted_once(tmp_path):
 )
 def test_a_number_that_cannot_be_is_refused_in_file_and_configuration_with_its_limits(tmp_path, line):
     key, _, value = line.partition(" = ")
-    said = rf"header key {key} = .*: must be a number from .* to .*"
-    with pytest.raises(InputError, match=rf"x\.csv: {said}"):
+    text = rf"header key {key} = .*: must be a number from .* to .*"
+    with pytest.raises(InputError, match=rf"x\.csv: {text}"):
         read_run(file_with(tmp_path, line))
     config = tmp_path / "kerntemp.toml"
     config.write_text(
@@ -118,13 +118,13 @@ def test_a_number_that_cannot_be_is_refused_in_file_and_configuration_with_its_l
         '[[press.logger]]\nname = "a"\n'
         'profile = "adam-6018+"\nhost = "h"\nchannels = ["platen_top", "platen_bottom"]\n'
     )
-    with pytest.raises(InputError, match=rf"kerntemp\.toml: press lab: {said}"):
+    with pytest.raises(InputError, match=rf"kerntemp\.toml: press lab: {text}"):
         load_config(config)
 
 
 def test_a_density_far_from_the_material_table_is_doubted_and_a_near_one_is_not():
     far = doubts({"panel.material": "MDF", "panel.density_kg_m3": 400})
-    assert [str(said) for said in far] == [
+    assert [str(doubt) for doubt in far] == [
         "header key panel.density_kg_m3 = 400 kg/m³ lies far from the 740 kg/m³ of MDF in the material table; "
         "check it"
     ]

@@ -120,8 +120,8 @@ def balance(one, store):
     promised = one.acknowledged("record")
     lost = [at for at, value in promised if at not in kept or (value is not None and kept[at] != value)]
     estimates = {e.number: e.monotonic_s for e in estimates_of(store)}
-    said = one.acknowledged("sense")
-    forgotten = [number for number, at in said if estimates.get(number) != at]
+    acknowledged = one.acknowledged("sense")
+    forgotten = [number for number, at in acknowledged if estimates.get(number) != at]
     bare = [
         (run.run, number)
         for run in store.runs(limit=10_000).items
@@ -140,15 +140,15 @@ def balance(one, store):
     return (
         f"{one.kills['record']} kills of the recorder, {one.kills['sense']} of the sensor: "
         f"{len(promised)} scans acknowledged, {len(scans)} in the store, {len(lost)} lost, "
-        f"{len(scans) - len(kept)} doubled; {len(said)} estimates acknowledged, {len(forgotten)} lost, "
+        f"{len(scans) - len(kept)} doubled; {len(acknowledged)} estimates acknowledged, {len(forgotten)} lost, "
         f"{len(bare)} scans of runs without one; runs {dict(life)}"
     )
 
 
 def caught_up(store):
     """Whether the sensor has said something about the newest scans, and about all of every run that is over."""
-    said = store.last_scan_followed("lab")
-    return said >= store.newest_scan_number("lab") - 120 and not store.ended_runs_after("lab", said)
+    followed = store.last_scan_followed("lab")
+    return followed >= store.newest_scan_number("lab") - 120 and not store.ended_runs_after("lab", followed)
 
 
 def estimates_of(store):

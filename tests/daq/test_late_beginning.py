@@ -22,7 +22,7 @@ def virtual():
 
 def recorded(press, begin_s, until_s, *, columns=None, wire=False):
     """Record from a moment on; return the events, and when it was said that a panel was hot already."""
-    detector, late, events, said = PressEventDetector(PRESS), LateBeginning(PRESS), [], []
+    detector, late, events, late_at = PressEventDetector(PRESS), LateBeginning(PRESS), [], []
     for i in range(int((until_s - begin_s) / PERIOD_S)):
         at = begin_s + i * PERIOD_S
         values = {n: round(v, 1) for n, v in press.temperatures(at).items() if columns is None or n in columns}
@@ -31,8 +31,8 @@ def recorded(press, begin_s, until_s, *, columns=None, wire=False):
         found = detector.update(at, values)
         events += found
         if late.look(at, values, known=bool(found) or detector.closed_by_wire is not None):
-            said.append(at)
-    return events, said
+            late_at.append(at)
+    return events, late_at
 
 
 def begin(press, share, number=1):
@@ -50,10 +50,10 @@ def test_wherever_within_a_pressing_recording_begins_it_is_said_once_or_a_run_is
     kept = {name for name in names if not name.startswith(left)}
     for share in (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9):
         first, over = begin(virtual, share, number)
-        events, said = recorded(virtual, first, over, columns=kept)
+        events, late_at = recorded(virtual, first, over, columns=kept)
         begun = [e for e in events if e.kind is PressEventKind.INSERTED]
-        assert len(said) + len(begun) == 1, (share, events, said)
-        assert not said or said[0] - first <= 4.0
+        assert len(late_at) + len(begun) == 1, (share, events, late_at)
+        assert not late_at or late_at[0] - first <= 4.0
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -62,15 +62,15 @@ def test_a_press_that_is_cold_idle_or_open_with_a_cool_panel_says_nothing(virtua
     for at in (cycle.moments.inserted_s - 4.0, cycle.moments.inserted_s + 0.5 * 3.0):
         if virtual.state(at) is PressState.CLOSED:
             continue
-        events, said = recorded(virtual, at, cycle.moments.opened_s)
-        assert not said
+        events, late_at = recorded(virtual, at, cycle.moments.opened_s)
+        assert not late_at
         assert PressEventKind.CLOSED in [e.kind for e in events]
 
 
 def test_a_wire_that_answers_late_makes_the_run_and_nothing_is_said(virtual):
     first, over = begin(virtual, 0.3)
-    events, said = recorded(virtual, first, over, wire=True)
-    assert not said
+    events, late_at = recorded(virtual, first, over, wire=True)
+    assert not late_at
     assert [e.kind for e in events][:2] == [PressEventKind.INSERTED, PressEventKind.CLOSED]
 
 

@@ -38,8 +38,8 @@ def test_messages_are_those_of_the_protocol(systemd):
     notifier.alive("12 scans")
     notifier.status("waiting")
     notifier.stopping()
-    said = [systemd.recv(4096).decode() for _ in range(4)]
-    assert said == [
+    datagrams = [systemd.recv(4096).decode() for _ in range(4)]
+    assert datagrams == [
         "READY=1\nSTATUS=recording lab",
         "WATCHDOG=1\nSTATUS=12 scans",
         "STATUS=waiting",
@@ -98,17 +98,17 @@ def recorded(folder: Path, instrument, monkeypatch):
 
 
 def messages_until(line, sign):
-    said = []
-    while not said or sign not in said[-1]:
-        said.append(line.recv(4096).decode())
-    return said
+    datagrams = []
+    while not datagrams or sign not in datagrams[-1]:
+        datagrams.append(line.recv(4096).decode())
+    return datagrams
 
 
 def test_the_recorder_feeds_the_watchdog_only_while_its_drivers_come_back(systemd, tmp_path, monkeypatch):
     instrument = Instrument()
     with recorded(tmp_path, instrument, monkeypatch):
-        said = messages_until(systemd, "WATCHDOG=1")
-        assert said[0] == "READY=1\nSTATUS=recording lab"
+        datagrams = messages_until(systemd, "WATCHDOG=1")
+        assert datagrams[0] == "READY=1\nSTATUS=recording lab"
         instrument.hangs.set()
         hung = messages_until(systemd, "the driver of logger only has not returned from a read")
         assert "WATCHDOG" not in hung[-1]

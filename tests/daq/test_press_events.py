@@ -231,18 +231,18 @@ def test_numbers_of_numpy_say_what_plain_ones_say(told_by):
         run, press = wired(run, 'pressure = { column = "bar", closed_above = 20.0 }', bar=bar)
     else:
         press = PRESS
-    detector, said = PressEventDetector(press), []
+    detector, events = PressEventDetector(press), []
     for i, t in enumerate(run.time_s):
-        said += detector.update(t, {name: values[i] for name, values in run.columns.items()})
-    assert said == replay(run, PressEventDetector(press))
+        events += detector.update(t, {name: values[i] for name, values in run.columns.items()})
+    assert events == replay(run, PressEventDetector(press))
 
 
 def test_where_the_switch_is_silent_the_pressure_decides_and_where_both_are_the_temperatures():
     run, truth = one_run(closed_column=True)
     nothing = np.full(len(run.time_s), np.nan)
     wire = 'limit_switch = "S7"\npressure = { column = "bar", closed_above = 20.0 }'
-    told, press = wired(run, wire, S7=nothing, bar=90.0 * run.columns["closed"])
-    assert find_moments(told, press).source == "pressure channel"
+    logged, press = wired(run, wire, S7=nothing, bar=90.0 * run.columns["closed"])
+    assert find_moments(logged, press).source == "pressure channel"
     silent, press = wired(run, wire, S7=nothing, bar=nothing)
     events = replay(silent, PressEventDetector(press))
     assert [(e.kind.value, e.source) for e in events] == [(kind, "temperatures") for kind in IN_ORDER]
@@ -252,12 +252,12 @@ def test_where_the_switch_is_silent_the_pressure_decides_and_where_both_are_the_
 def test_a_switch_that_contradicts_the_temperatures_is_reported():
     run, truth = one_run(closed_column=False)
     stuck = Run("stuck", {}, run.time_s, {**run.columns, "closed": np.zeros(len(run.time_s))})
-    detector, said = PressEventDetector(PRESS), set()
+    detector, reported = PressEventDetector(PRESS), set()
     for i, t in enumerate(run.time_s.tolist()):
         detector.update(t, {name: float(c[i]) for name, c in stuck.columns.items()})
         if truth.moments.closed_s + 15 < t < truth.moments.opened_s - 1:
-            said.add(str(detector.disagreement))
-    assert said == {"the limit switch reports open, but the upper face is hot; check it"}
+            reported.add(str(detector.disagreement))
+    assert reported == {"the limit switch reports open, but the upper face is hot; check it"}
 
 
 def kinds(events):

@@ -39,7 +39,7 @@ def test_press_without_an_open_entry_has_one_state() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("x =", "not valid TOML"),
         (PANEL + "[press]\nnam = 'x'", r"press\.nam = 'x': unknown key"),
@@ -83,8 +83,8 @@ def test_press_without_an_open_entry_has_one_state() -> None:
         ),
     ],
 )
-def test_wrong_press_file_is_refused_with_key_and_value(text: str, said: str) -> None:
-    with pytest.raises(InputError, match=f"^press file: .*{said}") as caught:
+def test_wrong_press_file_is_refused_with_key_and_value(text: str, expected: str) -> None:
+    with pytest.raises(InputError, match=f"^press file: .*{expected}") as caught:
         parse_press(text)
     assert "\n" not in str(caught.value)
 

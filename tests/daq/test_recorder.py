@@ -143,8 +143,8 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
     def wires(now_s):
         at = max(now_s, 0.0)
         m = made.press.cycle(at).moments
-        told = m.closed_s + 3.0 <= at < m.opened_s + 3.0
-        return [0.0 if stuck.is_set() else 90.0 * told, 0.0] + [20.0] * 14
+        closed = m.closed_s + 3.0 <= at < m.opened_s + 3.0
+        return [0.0 if stuck.is_set() else 90.0 * closed, 0.0] + [20.0] * 14
 
     with plant(tmp_path, speed=speed, rate_hz=2.0) as made, open_store(made.url) as store:
         with simulated("generic", wires, clock=made.clock, refresh_s=0.0) as server:
@@ -161,17 +161,17 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
                 wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1)
                 stuck.set()
                 wait_until(lambda: store.journal(press="lab", level="warning").items)
-                told = store.newest_scan_number("lab")
-                wait_until(lambda: store.newest_scan_number("lab") > told + 30)  # in which nothing is said again
+                newest = store.newest_scan_number("lab")
+                wait_until(lambda: store.newest_scan_number("lab") > newest + 30)  # in which nothing is said again
         kept = store.runs(status=RunStatus.CLOSED).items[-1]
         run = store.load_run(kept.run)
         events = store.press_events("lab")
-        said = [str(e.message) for e in store.journal(press="lab", level="warning").items]
+        messages = [str(e.message) for e in store.journal(press="lab", level="warning").items]
     assert [(e.kind, e.source) for e in events[1:3]] == [
         ("closed", "pressure channel"),
         ("opened", "pressure channel"),
     ]
-    assert said == ["press lab: the pressure channel reports open, but the upper face is hot; check it"]
+    assert messages == ["press lab: the pressure channel reports open, but the upper face is hot; check it"]
     pressed, closed = run.columns["bar"] > 20.0, run.columns["closed"]
     assert {0.0, 1.0} == set(closed[np.isfinite(closed)])
     assert np.array_equal(closed[np.isfinite(closed)] > 0.5, pressed[np.isfinite(closed)])
@@ -204,7 +204,7 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
             wait_until(lambda: any("does not answer" in str(e.message) for e in store.journal().items))
             first = store.newest_scan_number("lab")
             wait_until(lambda: store.newest_scan_number("lab") > first + 20)
-            said = store.statuses()["record"].status
+            status = store.statuses()["record"].status
             made.lower.silent = False
             wait_until(lambda: any("answers again" in str(e.message) for e in store.journal().items))
             last = store.newest_scan_number("lab")
@@ -217,8 +217,8 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
         assert sum(q["top_1"] == "good" for q in qualities) >= 0.75 * len(qualities)
         gaps = np.diff([s.monotonic_s for s in batch.scans])
         assert np.median(gaps) == pytest.approx(0.1, abs=0.02)
-        assert any("lower" in problem for problem in said["problems"])
-        assert [r["state"] for r in said["loggers"]] == ["answers", "lost"]
+        assert any("lower" in problem for problem in status["problems"])
+        assert [r["state"] for r in status["loggers"]] == ["answers", "lost"]
         warnings = [e for e in store.journal(level="warning").items if "logger lower" in str(e.message)]
         assert len(warnings) == 1
         assert last > first + 20
@@ -238,15 +238,19 @@ def test_scans_left_out_stand_in_the_journal_with_their_place(tmp_path):
             recorder.terminate()
         scans = all_scans(store)
         (problem,) = store.statuses()["record"].status["problems"]
-        said = {str(e.message).partition(": ")[2]: e for e in store.journal(limit=100).items if e.press == "lab"}
-        (begin,) = [e for what, e in said.items() if what == "scans begin"]
-        told = [pair for what, e in said.items() if "left out" in what for pair in e.detail["before_monotonic_s"]]
+        messages = {
+            str(e.message).partition(": ")[2]: e for e in store.journal(limit=100).items if e.press == "lab"
+        }
+        (begin,) = [e for what, e in messages.items() if what == "scans begin"]
+        pairs = [
+            pair for what, e in messages.items() if "left out" in what for pair in e.detail["before_monotonic_s"]
+        ]
     assert begin.detail == {"monotonic_s": scans[0].monotonic_s, "period_s": 0.1}
-    assert set(at for at, _ in told) <= {s.monotonic_s for s in scans}
+    assert set(at for at, _ in pairs) <= {s.monotonic_s for s in scans}
     due = round((scans[-1].monotonic_s - scans[0].monotonic_s) / 0.1) + 1
-    assert sum(count for _, count in told) >= 30
+    assert sum(count for _, count in pairs) >= 30
     assert re.fullmatch(r"lab: \d\d scans left out in the last minute, this machine is too busy", problem)
-    assert len(scans) + sum(count for _, count in told) == pytest.approx(due, abs=1)
+    assert len(scans) + sum(count for _, count in pairs) == pytest.approx(due, abs=1)
 
 
 def test_scans_that_wait_though_the_store_is_there_are_a_problem(tmp_path):
@@ -357,15 +361,17 @@ def test_a_configuration_saved_while_the_one_before_is_taken_over_is_taken_over_
 
 @pytest.mark.parametrize("hidden", ["kerntemp.toml", "lab.toml", "upper.toml"])
 def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_path, monkeypatch, hidden):
-    made, said = Plant(tmp_path, 1.0, 10.0), []
+    made, messages = Plant(tmp_path, 1.0, 10.0), []
     upper = simulated("labjack-t7", made.inputs(UPPER), clock=made.clock)
     with upper as a:
         wired = wiring("labjack-t7", a, "upper", UPPER) | {"calibration": "upper.toml"}
         made.write(wired)
     (tmp_path / "upper.toml").write_text("")
-    watch = _ConfigWatch(load_config(made.config), lambda level, message, *_: said.append((level, str(message))))
+    watch = _ConfigWatch(
+        load_config(made.config), lambda level, message, *_: messages.append((level, str(message)))
+    )
     watch.look([])
-    assert said == []
+    assert messages == []
     reached = Path.stat, Path.read_text
 
     def refused(which):
@@ -382,13 +388,13 @@ def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_pat
         lines = [ReadingLine(tmp_path / hidden)]
         watch.look(lines)
         watch.look(lines)
-    ((level, sentence),) = said
+    ((level, sentence),) = messages
     assert level == "warning"
     assert hidden in sentence
     assert "Permission denied" in sentence
     assert sentence.endswith("recording goes on with the previous configuration")
     watch.look([])
-    assert said[1:] == [("info", "configuration changed; it takes effect between runs")]
+    assert messages[1:] == [("info", "configuration changed; it takes effect between runs")]
 
 
 class ReadingLine:
@@ -411,9 +417,9 @@ def test_a_clock_set_back_and_forth_is_journalled_and_costs_no_scan_and_no_order
                 monkeypatch.setattr(SettableClock, "set_by", timedelta(hours=hours))
             seen = len(all_scans(store))
             wait_until(lambda: len(all_scans(store)) > seen + 10)
-        said = [str(e.message) for e in store.journal().items if "clock of this machine" in str(e.message)]
+        messages = [str(e.message) for e in store.journal().items if "clock of this machine" in str(e.message)]
         scans = all_scans(store)
-    set_by = sorted(float(m.split("set by ")[1].split(" s")[0]) for m in said)
+    set_by = sorted(float(m.split("set by ")[1].split(" s")[0]) for m in messages)
     assert set_by == pytest.approx([-3600, 10800], abs=1)
     assert [s.number for s in scans] == list(range(len(scans)))
     monotonic, wall = (np.diff(x) for x in zip(*((s.monotonic_s, s.utc.timestamp()) for s in scans), strict=True))

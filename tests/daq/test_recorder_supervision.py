@@ -120,15 +120,15 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
             tried, seldom = set(), set()
 
             def inject(calls, longest_s):
-                said = len(alarms())
+                before = len(alarms())
                 if (call := injector.first_called(calls, longest_s)) is None:
                     return None
                 newest = opened.newest_scan_number("lab")
                 wait_until(lambda: opened.newest_scan_number("lab") > newest + 2)
                 at = time.monotonic() + LONGEST_S
-                while not (told := _told(call, alarms(), said)) and time.monotonic() < at:
+                while not (reported := _told(call, alarms(), before)) and time.monotonic() < at:
                     time.sleep(0.02)
-                if not told:
+                if not reported:
                     untold.append(call)
                 tried.add(call)
                 return call
@@ -147,13 +147,13 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
 
 
 def test_a_fault_the_journal_did_not_take_is_told_as_soon_as_it_takes_one():
-    told, tries = [], []
+    journalled, tries = [], []
 
     def journal(fault):
         tries.append(fault)
         if len(tries) < 3:
             raise Injected("the journal")
-        told.append(fault)
+        journalled.append(fault)
 
     def work():
         for reading in (Injected("first"), None, Injected("second")):
@@ -163,7 +163,7 @@ def test_a_fault_the_journal_did_not_take_is_told_as_soon_as_it_takes_one():
     thread.start()
     thread.join(240.0)
     faults = [unexpected(Injected(which)) for which in ("first", "second")]
-    assert told == [say("thread-failed", thread="press", why=fault) for fault in faults]
+    assert journalled == [say("thread-failed", thread="press", why=fault) for fault in faults]
     assert len(tries) == 4
 
 

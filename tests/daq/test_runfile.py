@@ -167,15 +167,15 @@ def test_a_row_with_a_wrong_number_of_cells_is_named_whatever_else_the_file_says
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_words_of_several_lines_and_times_of_day_beside_a_row_are_kept(tmp_path, suffix):
-    said = {
+    texts = {
         "note": ("door\nopen", "", 'said "go"\r\n, then', "x\ry"),
         "utc": ("2026-03-04T07:00:00Z", "2026-03-04T07:00:01Z", "", ""),
         "clock": ("7:00", "", "7:01", "7:02"),
     }
-    run = Run("x", {"run": "x"}, np.arange(4.0), {"top_1": np.arange(4.0)}, texts=said)
+    run = Run("x", {"run": "x"}, np.arange(4.0), {"top_1": np.arange(4.0)}, texts=texts)
     write_run(run, tmp_path / f"x{suffix}")
     back = read_run(tmp_path / f"x{suffix}")
-    assert back.texts == said
+    assert back.texts == texts
     assert back.columns["top_1"].tolist() == [0, 1, 2, 3]
 
 
@@ -429,10 +429,10 @@ def test_reading_a_long_run_takes_little_more_memory_than_the_run(tmp_path, kind
     write_run(Run("x", {}, np.arange(rows) / 10, columns, texts=texts), path)
     small = tmp_path / f"small{path.suffix}"
     write_run(Run("s", {}, np.arange(3.0), {"top_1": np.arange(3.0)}, texts={k: ("a",) * 3 for k in texts}), small)
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", READS, small, path], capture_output=True, text=True, check=True, cwd=ROOT
     )
-    grown_kb, *shape = (int(part) for part in told.stdout.split())
+    grown_kb, *shape = (int(part) for part in done.stdout.split())
     assert shape == [rows, 15]
     assert grown_kb * 1024 < 2.2 * 16 * 8 * rows
 
@@ -468,10 +468,10 @@ def test_a_mapped_file_is_read_and_imported_in_pieces(tmp_path):
         lines = (f"{i / 10},{20 + i % 90},21.5,{i % 70},{100 + i % 7}.25\n" for i in range(count))
         (tmp_path / f"{name}.csv").write_text(",".join(["s", *names]) + "\n" + "".join(lines))
     places = [tmp_path / name for name in ("map.toml", "small.csv", "long.csv", "store.sqlite")]
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", MAPS, *places], capture_output=True, text=True, check=True, cwd=ROOT
     )
-    read_kb, imported_kb, *shape = (int(part) for part in told.stdout.split())
+    read_kb, imported_kb, *shape = (int(part) for part in done.stdout.split())
     assert shape == [rows, 4]
     assert read_kb * 1024 < 2.2 * 5 * 8 * rows
     assert imported_kb < 40_000

@@ -73,13 +73,13 @@ def test_a_recorder_that_begins_with_a_panel_on_the_hot_plate_takes_no_start_tem
     """Only the closing shows that there is one: its lower face is at 60 °C by then, the upper one still cool."""
     times = RunRules("lab", pre_trigger_s=5.0, post_removal_s=5.0, longest_run_s=3600.0)
     concluded = [event(PressEventKind.INSERTED, 9.0, 10.0), event(PressEventKind.CLOSED, 10.0)]
-    for lower, told in (([60.0] * 3, {}), ([60.0, 23.0, 23.0], {"panel.initial_temperature_C": 23.0})):
+    for lower, header in (([60.0] * 3, {}), ([60.0, 23.0, 23.0], {"panel.initial_temperature_C": 23.0})):
         one, begins = RunKeeper(times, RunNames("lab", "lab-2026-03-04-07"), panel_places=range(1, 7)), []
         for n in range(110):
             values = (200.0, *lower, 23.0, 23.0, 23.0)
             row = Scan(n, BEGAN, 500 + n / 10, values, (G,) * 7)
             begins += [new for new, _ in one.take(row, concluded if n == 100 else []) if new]
-        assert [new.header for new in begins] == [told]
+        assert [new.header for new in begins] == [header]
 
 
 def test_names_count_up_within_a_day_and_start_anew_at_midnight_utc():

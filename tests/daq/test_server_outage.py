@@ -111,9 +111,10 @@ def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(po
             one.start("record")
             balanced(one, store)
             assert len(store.runs(status=RunStatus.OPEN).items) <= 1
-            said = [str(e.message) for e in store.journal(limit=200).items]
+            messages = [str(e.message) for e in store.journal(limit=200).items]
             assert any(
-                "kerntemp-buffer.sqlite, enough for" in m and "check that the database server" in m for m in said
+                "kerntemp-buffer.sqlite, enough for" in m and "check that the database server" in m
+                for m in messages
             )
 
 
@@ -206,9 +207,12 @@ def test_a_server_that_falls_silent_costs_seconds_and_a_slow_one_is_waited_for(t
         with store.database.reading() as connection:
             assert connection.execute(text("SELECT 1 FROM pg_sleep(1.4)")).scalar() == 1
         key = store.register_press("lab", CHANNELS, "press file")
-        said, notes = [], Notes()
+        faults, notes = [], Notes()
         outbox = Outbox(
-            store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, journal=lambda *words: said.append(words)
+            store,
+            buffer=tmp_path / "b.sqlite",
+            acknowledged=notes.note,
+            journal=lambda *words: faults.append(words),
         )
         outbox.start()
         for n in range(10):
@@ -224,10 +228,10 @@ def test_a_server_that_falls_silent_costs_seconds_and_a_slow_one_is_waited_for(t
         wait_until(lambda: outbox.waiting == 0)
         outbox.close()
         assert [s.number for s in all_scans(store)] == list(range(3000))
-        assert [level for level, _ in said] == ["alarm", "info"]
-        assert "connection" in str(said[0][1])
-        assert "check that the database server runs" in str(said[0][1])
-        assert f"scans wait in {tmp_path / 'b.sqlite'}, enough for" in str(said[0][1])
+        assert [level for level, _ in faults] == ["alarm", "info"]
+        assert "connection" in str(faults[0][1])
+        assert "check that the database server runs" in str(faults[0][1])
+        assert f"scans wait in {tmp_path / 'b.sqlite'}, enough for" in str(faults[0][1])
 
 
 @pytest.mark.campaign

@@ -67,12 +67,12 @@ def test_runs_stay_in_the_ranges_of_the_laboratory(seed: int) -> None:
         assert run.header["panel.thickness_mm"] in (8.0, 16.0, 19.0)
         panel = panel_of(run)
         assert panel.initial_temperature == pytest.approx(truth.panel.initial_temperature, abs=0.5)
-        for told, own in zip(
+        for nominal, own in zip(
             (panel.conductivity, panel.heat_capacity),
             (truth.panel.conductivity, truth.panel.heat_capacity),
             strict=True,
         ):  # panels scatter, and headers do not tell
-            assert 0.0 < abs(np.log(own / told)) < 4.0 * Plan().panel_spread
+            assert 0.0 < abs(np.log(own / nominal)) < 4.0 * Plan().panel_spread
         for name in CHANNELS:
             good = run.columns[name][np.isfinite(run.columns[name])]
             assert 15.0 < good.min() <= good.max() < 216.0

@@ -155,12 +155,12 @@ def test_the_header_is_what_a_run_file_needs() -> None:
 
 
 def test_a_panel_is_pressed_as_it_was_said_to_be_and_the_press_has_its_own_for_the_rest() -> None:
-    said = {"panel.thickness_mm": 22.0, "panel.initial_temperature_C": 30.0, "setting.core_target_C": 85.0}
+    header = {"panel.thickness_mm": 22.0, "panel.initial_temperature_C": 30.0, "setting.core_target_C": 85.0}
     usual, press = VirtualPress(seed=3), VirtualPress(seed=3)
-    press.set_panels(press.coming(0.0), said)
+    press.set_panels(press.coming(0.0), header)
     thin, thick = usual.cycle(0.0), press.cycle(0.0)
     assert (thick.pressing.panel.thickness, thick.pressing.panel.initial_temperature) == (0.022, 30.0)
-    assert thick.header == {**thin.header, **said}
+    assert thick.header == {**thin.header, **header}
     assert thick.moments == thin.moments
     assert thick.core_C[-1] < thin.core_C[-1] + 8.0 - 5.0  # begun some 8 K warmer, heated through far less
 

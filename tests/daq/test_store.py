@@ -97,14 +97,14 @@ def test_every_quality_comes_back_with_the_run_and_only_usable_values_do(store):
     ]
     store.append_scans(key, rows, begin=NewRun("r", 0, BEGAN, 0.0))
     run = store.load_run("r")
-    told = run.texts["quality"]
+    qualities = run.texts["quality"]
     for i, quality in enumerate(Quality):
         assert np.isfinite(run.columns["platen_bottom"][i]) == (quality in (Quality.GOOD, Quality.SIMULATED))
         assert np.isfinite(run.columns["top_1"][i])
         if quality not in (Quality.GOOD, Quality.SIMULATED):
-            assert told[i] == f"platen_bottom={quality}"
-    assert told[0] == ""
-    assert told[-1] == "*=simulated platen_top=good top_1=good bottom_1=good"
+            assert qualities[i] == f"platen_bottom={quality}"
+    assert qualities[0] == ""
+    assert qualities[-1] == "*=simulated platen_top=good top_1=good bottom_1=good"
     assert store.load_run("r", columns=["top_1"]).texts["quality"][1:3] == ("", "")
 
 
@@ -350,12 +350,12 @@ def test_the_history_goes_by_when_runs_were_pressed_in_whatever_order_they_came_
         store.import_run(Run(name, header, np.array([0.0, 60.0]), {"top_1": np.ones(2)}), "lab")
     for i in (4, 0, 5, 2, 1, 3, 0):
         store.put_fit(f"run-{i}", fit_json(f"run-{i}", 700.0))
-    told, cursor = [], None
-    while cursor is not None or not told:
+    runs, cursor = [], None
+    while cursor is not None or not runs:
         page = store.coefficient_history(press="lab", limit=2, cursor=cursor)
-        told += [c.run for c in page.items if c.name == "h_wa"]
+        runs += [c.run for c in page.items if c.name == "h_wa"]
         cursor = page.next_cursor
-    assert told == ["run-4", "run-2", "run-0", "run-5", "run-3", "run-1"]
+    assert runs == ["run-4", "run-2", "run-0", "run-5", "run-3", "run-1"]
 
 
 def test_a_date_that_a_file_does_not_give_is_unknown_and_comes_last(store):
@@ -367,12 +367,12 @@ def test_a_date_that_a_file_does_not_give_is_unknown_and_comes_last(store):
     store.import_runs(files, "lab")
     for name in "abc":
         store.put_fit(name, fit_json(name, 700.0))
-    told, cursor = [], None
-    while cursor is not None or not told:
+    rows, cursor = [], None
+    while cursor is not None or not rows:
         page = store.coefficient_history(press="lab", limit=1, cursor=cursor)
-        told += [(c.run, c.started_utc) for c in page.items if c.name == "h_wa"]
+        rows += [(c.run, c.started_utc) for c in page.items if c.name == "h_wa"]
         cursor = page.next_cursor
-    assert told == [("b", dated["recorded.started_utc"]), ("c", None), ("a", None)]
+    assert rows == [("b", dated["recorded.started_utc"]), ("c", None), ("a", None)]
     assert store.run_record("a").ended_utc is None
     assert "recorded.started_utc" not in store.run_for_file("a").header
     for until in (None, datetime.now(UTC)):
@@ -523,22 +523,22 @@ def test_people_find_events_estimates_coefficients_and_models_of_a_run_with_unit
     store.put_model("lab", "v1", {"effects": []}, status="promoted", reason="first")
     store.log("alarm", "record", "disk is full", "lab")
 
-    def told(view):
+    def rows_of(view):
         with store.database.reading() as connection:
             return [dict(row) for row in connection.execute(text(f"SELECT * FROM {view}")).mappings()]
 
-    [said] = told("run_estimate")
-    assert (said["run"], said["core_celsius"]) == (name, 61.0)
-    assert said["time_s"] == pytest.approx(0.5)
-    assert [(e["run"], e["kind"]) for e in told("run_event")] == [(name, "inserted"), (name, "closed")]
-    assert [e["time_s"] for e in told("run_event")] == pytest.approx([0.3, 1.5])
-    [row] = told("coefficient_history")
+    [row] = rows_of("run_estimate")
+    assert (row["run"], row["core_celsius"]) == (name, 61.0)
+    assert row["time_s"] == pytest.approx(0.5)
+    assert [(e["run"], e["kind"]) for e in rows_of("run_event")] == [(name, "inserted"), (name, "closed")]
+    assert [e["time_s"] for e in rows_of("run_event")] == pytest.approx([0.3, 1.5])
+    [row] = rows_of("coefficient_history")
     assert (row["run"], row["name"], row["value_w_m2k"], row["high_w_m2k"]) == (name, "h_pp_c", 700.0, 720.0)
     assert str(row["started_utc"]).startswith("2026-03-04")
-    [model] = told("model_overview")
+    [model] = rows_of("model_overview")
     assert (model["version"], model["status"]) == ("v1", "promoted")
     assert abs(datetime.fromisoformat(str(model["created_utc"]).rstrip("Z")).year - datetime.now(UTC).year) <= 1
-    assert [line["message"] for line in told("journal")] == ["disk is full"]
+    assert [line["message"] for line in rows_of("journal")] == ["disk is full"]
 
 
 def test_a_server_keeps_what_the_migrations_say_of_tables_and_columns(postgresql_url):
@@ -549,8 +549,8 @@ def test_a_server_keeps_what_the_migrations_say_of_tables_and_columns(postgresql
         assert comments["unix_s"] == "UTC, seconds since 1970; empty for imported files"
         assert comments["number"] is None
         with store.database.reading() as connection:
-            said = connection.execute(text("SELECT obj_description('coefficient_history'::regclass)")).scalar()
-        assert "95 % interval" in said
+            comment = connection.execute(text("SELECT obj_description('coefficient_history'::regclass)")).scalar()
+        assert "95 % interval" in comment
 
 
 def test_a_store_of_the_first_schema_is_brought_up_to_date_with_its_data(store_url, monkeypatch):
@@ -585,8 +585,8 @@ def test_journal_lines_of_older_versions_are_kept_as_texts_and_promotions_get_th
     monkeypatch.undo()
     with open_store(store_url) as store:
         store.log("info", "x", say("run-interrupted", run="r"))
-        said = [e.message for e in store.journal_after(0)]
-    assert said == [
+        messages = [e.message for e in store.journal_after(0)]
+    assert messages == [
         say("model-promoted", version=odd),
         say("plain-text", text="press-left silent"),
         say("run-interrupted", run="r"),

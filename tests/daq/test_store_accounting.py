@@ -86,8 +86,8 @@ def test_a_run_imported_under_the_name_the_next_pressing_would_get_costs_no_pres
         assert_all_is_there(store, put)
         names = [run.run for run in store.runs(limit=10).items if run.kind == "recorded"]
         assert sorted(names) == ["lab-2026-03-04-01", "lab-2026-03-04-03", "lab-2026-03-04-04"]
-        said = [e.message for e in store.journal(level="warning").items if e.message.code == "run-renamed"]
-        assert [dict(m.arguments) for m in said[::-1]] == [
+        messages = [e.message for e in store.journal(level="warning").items if e.message.code == "run-renamed"]
+        assert [dict(m.arguments) for m in messages[::-1]] == [
             {"run": taken, "name": "lab-2026-03-04-03"},
             {"run": "lab-2026-03-04-03", "name": "lab-2026-03-04-04"},
         ]
@@ -170,5 +170,5 @@ def test_an_end_whose_run_the_store_does_not_hold_is_an_alarm(store_url):
     with open_store(store_url) as store:
         key = store.register_press("lab", CHANNELS)
         store.append_scans(key, [scan(0, 0.0)], end=RunEnd("lab-9", 0, MIDNIGHT, first_scan=0))
-        (said,) = store.journal(level="alarm").items
-    assert str(said.message) == "run lab-9 ends at scan 0, but the store has no such run; its scans are kept"
+        (entry,) = store.journal(level="alarm").items
+    assert str(entry.message) == "run lab-9 ends at scan 0, but the store has no such run; its scans are kept"

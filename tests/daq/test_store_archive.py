@@ -166,8 +166,8 @@ def record(store, run="one", first=0, press="lab"):
     begin = NewRun(run, first + 20, start.utc, start.monotonic_s, {"panel.material": "MDF"})
     end = RunEnd(run, first + 79, scan(first + 79).utc)
     store.append_scans(key, [scan(n) for n in numbers], begin=begin, end=end)
-    said = [estimate(n) for n in numbers if n % 4]
-    store.append_estimates(press, said)
+    estimates = [estimate(n) for n in numbers if n % 4]
+    store.append_estimates(press, estimates)
 
 
 def estimate(number):
@@ -234,8 +234,8 @@ def test_the_sum_beside_a_file_is_that_of_the_standard(store, tmp_path):
     store.use_archive(tmp_path)
     store.archive_run("one")
     [file] = tmp_path.rglob("*-one.parquet")
-    said = file.with_name(file.name + SUM).read_text()
-    assert said == f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n"
+    output = file.with_name(file.name + SUM).read_text()
+    assert output == f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n"
 
 
 def test_runs_are_archived_by_age_and_open_ones_never(store, tmp_path):
@@ -279,11 +279,11 @@ def test_a_file_that_is_not_sound_is_told_with_a_remedy_and_nothing_is_deleted(s
         file.unlink()
     else:
         file.write_bytes(sound[:900] + bytes([sound[900] ^ 1]) + sound[901:])
-    said = "missing; copy it back" if harm == "missing" else "no longer what was written; copy it back"
-    with pytest.raises(ArchiveUnreadable, match=said):
+    expected = "missing; copy it back" if harm == "missing" else "no longer what was written; copy it back"
+    with pytest.raises(ArchiveUnreadable, match=expected):
         store.load_run("one")
     found = store.check_archive(datetime.now(UTC) + timedelta(days=1))
-    assert [said in str(one) for one in found.unsound] == [True]
+    assert [expected in str(one) for one in found.unsound] == [True]
     assert store.archive().unsound == 1
     assert store.remove_archived("lab", LATER) == (0, 0)
     assert store.columns_of("one") == ("platen_top", "top_1", "load")

@@ -71,21 +71,21 @@ def test_a_damaged_buffer_is_set_aside_and_recording_goes_on_into_the_store(tmp_
         assert set(range(300, 330)) <= set(kept)
         assert len(kept) >= (30 if damage == "garbage" else 100)
         assert all(s.values[0] == 200.0 for s in store.scans_after("lab", -1, 1000).scans)
-    alarms = [text for level, text in notes.said if level == "alarm"]
+    alarms = [text for level, text in notes.journalled if level == "alarm"]
     assert alarms
     assert all(str(path) in text for text in alarms)
     named = [one for one in tmp_path.iterdir() if ".damaged-" in one.name or one.name.endswith(".jsonl")]
     assert any(str(one) in text for one in named for text in alarms)
-    told = re.search(r"(\d+) entries could be read and go on[,;] .*?(\d+)( at least| are lost)", alarms[0])
-    if told is None:
+    found = re.search(r"(\d+) entries could be read and go on[,;] .*?(\d+)( at least| are lost)", alarms[0])
+    if found is None:
         assert damage == "a flipped bit in a value"
         assert len(kept) == 329
     else:
         unreadable = sum("checksum" in text for text in alarms)
-        assert int(told[1]) == len(kept) - 30 + unreadable
-        gone = 300 - int(told[1])
-        assert told[3] == (" are lost" if running else " at least")
-        assert int(told[2]) == gone if running or damage == "a torn page" else int(told[2]) <= gone
+        assert int(found[1]) == len(kept) - 30 + unreadable
+        gone = 300 - int(found[1])
+        assert found[3] == (" are lost" if running else " at least")
+        assert int(found[2]) == gone if running or damage == "a torn page" else int(found[2]) <= gone
 
 
 def fill(ballast):
@@ -108,8 +108,8 @@ def drained(buffer):
 
 @pytest.mark.parametrize("room_again", [True, False], ids=["room again", "still full"])
 def test_a_full_disk_costs_a_buffer_nothing_of_what_waits_in_it(small_disk, room_again):  # noqa: F811
-    told, texts = [], [f"{n} {'x' * 500}" for n in range(40)]
-    buffer, ballast = Buffer(small_disk / "b.sqlite", told.append), small_disk / "ballast"
+    alarms, texts = [], [f"{n} {'x' * 500}" for n in range(40)]
+    buffer, ballast = Buffer(small_disk / "b.sqlite", alarms.append), small_disk / "ballast"
     buffer.append(entries(texts))
     fill(ballast)
     for _ in range(3):
@@ -120,13 +120,13 @@ def test_a_full_disk_costs_a_buffer_nothing_of_what_waits_in_it(small_disk, room
         buffer.append(entries(["more"]))
         texts.append("more")
     assert drained(buffer) == texts
-    assert not told
+    assert not alarms
 
 
 def test_a_buffer_that_is_damaged_on_a_full_disk_is_salvaged_when_there_is_room(small_disk):  # noqa: F811
-    told, texts = [], [f"{n} {'x' * 500}" for n in range(400)]
+    alarms, texts = [], [f"{n} {'x' * 500}" for n in range(400)]
     path, ballast = small_disk / "b.sqlite", small_disk / "ballast"
-    buffer = Buffer(path, told.append)
+    buffer = Buffer(path, alarms.append)
     buffer.append(entries(texts))
     spoil(path, 4096 * 9, 4096, b"\xa5")
     fill(ballast)
@@ -138,8 +138,8 @@ def test_a_buffer_that_is_damaged_on_a_full_disk_is_salvaged_when_there_is_room(
     found = drained(buffer)
     assert len(found) > 390
     assert found[-1] == "more"
-    assert [one.code for one in told] == ["buffer-damaged"]
-    assert told[0].arguments["lost"] == 401 - len(found)
+    assert [one.code for one in alarms] == ["buffer-damaged"]
+    assert alarms[0].arguments["lost"] == 401 - len(found)
 
 
 def full_disk_with(what, disk, key):
@@ -176,9 +176,9 @@ def test_a_recorder_that_starts_while_its_buffers_disk_is_full_records_to_a_stor
         assert [scan.values[1] - 20.0 for scan in kept] == [*range(first), *range(100), *range(100)]
         lines = [str(e.message) for e in store.journal(limit=100).items if e.message.code == "plain-text"]
         assert lines == (["from before"] if first else [])
-        told = [text for level, text in notes.said if level == "alarm"]
-        assert all(str(small_disk / "b.sqlite") in text for text in told)
-        assert told or before != "no file"
+        alarms = [text for level, text in notes.journalled if level == "alarm"]
+        assert all(str(small_disk / "b.sqlite") in text for text in alarms)
+        assert alarms or before != "no file"
         write = store.write_batches
         monkeypatch.setattr(store, "write_batches", refuse)
         (small_disk / "ballast").unlink()
@@ -197,16 +197,16 @@ def refuse(*items):
 
 
 def test_the_salvage_of_a_buffer_that_is_cut_short_ends_wherever_it_is_cut(tmp_path):
-    told, path = [], tmp_path / "b.sqlite"
+    alarms, path = [], tmp_path / "b.sqlite"
     texts = [f"{n} {'x' * 300}" for n in range(400)]
     Buffer(path).append(entries(texts))
     whole = path.read_bytes()
     for length in range(3 * 4096, len(whole), 5555):
         path.write_bytes(whole[:length])
-        found = drained(Buffer(path, told.append))
+        found = drained(Buffer(path, alarms.append))
         assert set(found) <= set(texts)
         assert len(found) == len(set(found))
-    assert told
+    assert alarms
 
 
 def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):
@@ -225,7 +225,7 @@ def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):
         wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 30)
         outbox.close()
         assert numbers(store) == list(range(50, 80))
-    (alarm,) = [text for level, text in notes.said if level == "alarm"]
+    (alarm,) = [text for level, text in notes.journalled if level == "alarm"]
     assert str(folder / "b.sqlite") in alarm
     assert "50 entries are lost" in alarm
 
@@ -247,12 +247,12 @@ def test_a_header_and_a_journal_line_no_store_takes_are_set_aside_and_all_else_i
         (run,) = store.runs().items
         assert (run.run, run.header["panel.thickness_mm"]) == ("lab-1", 16.0)
         lines = [e.message.code for e in store.journal().items]
-    said = [text for level, text in notes.said if level == "alarm"]
+    alarms = [text for level, text in notes.journalled if level == "alarm"]
     aside = tmp_path / "b.sqlite.set-aside.jsonl"
     kept = [json.loads(line)["content"] for line in aside.read_text().splitlines()] if aside.exists() else []
     if "postgresql" in store_url:
         assert any("M\\\\u0000DF" in text for text in kept)
-        assert any("lab-1" in text and str(aside) in text for text in said)
+        assert any("lab-1" in text and str(aside) in text for text in alarms)
     assert any("half" in text for text in kept)
     assert "line-set-aside" in lines
 
@@ -291,6 +291,6 @@ def test_a_header_that_cannot_be_written_is_set_aside_and_all_else_goes_on(away,
     kept = [json.loads(line)["content"] for line in aside.read_text().splitlines()]
     assert len([text for text in kept if "lab-1" in text and f"[{hex(10**5000)}, 2]" in text]) == 1
     assert any("beside" in text for text in kept)
-    said = [text for level, text in notes.said if level == "alarm"]
-    assert any("lab-1" in text and str(aside) in text for text in said)
-    assert away == any("away" in text for text in said)
+    alarms = [text for level, text in notes.journalled if level == "alarm"]
+    assert any("lab-1" in text and str(aside) in text for text in alarms)
+    assert away == any("away" in text for text in alarms)

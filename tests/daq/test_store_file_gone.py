@@ -97,14 +97,14 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
             kept = [row[0] for row in connection.execute("SELECT number FROM scan ORDER BY number")]
             assert connection.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
         assert kept == list(range(200)) == notes.acknowledged
-        assert [level for level, _ in notes.said] == ["alarm"]
-        assert str(path) in notes.said[0][1]
+        assert [level for level, _ in notes.journalled] == ["alarm"]
+        assert str(path) in notes.journalled[0][1]
     if fate in (delete_log, delete_index_of_log):
-        assert "its log (-wal, -shm)" in notes.said[0][1]
+        assert "its log (-wal, -shm)" in notes.journalled[0][1]
         (aside,) = tmp_path.glob("s.sqlite.found-*")
-        assert str(aside) in notes.said[0][1]
+        assert str(aside) in notes.journalled[0][1]
     if fate in CUTS:
-        assert "its log (-wal) was emptied or cut short" in notes.said[0][1]
+        assert "its log (-wal) was emptied or cut short" in notes.journalled[0][1]
     if fate is move:
         with open_store(str(tmp_path / "elsewhere.sqlite")) as moved:
             assert moved.newest_scan_number("lab") >= 49
@@ -130,7 +130,7 @@ def test_what_the_log_holds_comes_into_the_file_every_second(tmp_path, monkeypat
 
 def test_flipped_bytes_in_the_file_are_noticed_while_it_is_recorded_into(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "_PAGES_S", 0.02)
-    path, said, stop, read = tmp_path / "s.sqlite", [], threading.Event(), []
+    path, alarms, stop, read = tmp_path / "s.sqlite", [], threading.Event(), []
     damage_of = recorder.damage_of
     monkeypatch.setattr(recorder, "damage_of", lambda file: read.append(damage_of(file)) or read[-1])
     with open_store(str(path)) as store:
@@ -138,20 +138,20 @@ def test_flipped_bytes_in_the_file_are_noticed_while_it_is_recorded_into(tmp_pat
         store.write_batches([batch(key, n) for n in range(500)])
         with store.database.engine.connect() as connection:
             connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
-        watch = PageWatch(path, lambda level, message, *_: said.append((level, message.code)))
+        watch = PageWatch(path, lambda level, message, *_: alarms.append((level, message.code)))
         watcher = threading.Thread(target=watch.work, args=(stop,))
         watcher.start()
         wait_until(lambda: len(read) > 2)
-        assert (said, set(read), watch.stalled()) == ([], {""}, None)
+        assert (alarms, set(read), watch.stalled()) == ([], {""}, None)
         with path.open("r+b") as file:
             file.seek(path.stat().st_size - 8192)
             file.write(bytes(b ^ 0xFF for b in range(64)))
         try:
-            wait_until(lambda: said)
+            wait_until(lambda: alarms)
         finally:
             stop.set()
             watcher.join()
-    assert said == [("alarm", "store-damaged")]
+    assert alarms == [("alarm", "store-damaged")]
 
 
 def test_a_file_of_which_too_little_is_left_is_told_and_nothing_takes_its_place(tmp_path):
@@ -169,8 +169,8 @@ def test_a_file_of_which_too_little_is_left_is_told_and_nothing_takes_its_place(
         wait_until(lambda: outbox.trouble)
         outbox.close(0.1)
     assert len(notes.acknowledged) == 2000
-    assert {level for level, _ in notes.said} == {"alarm"}
-    assert "not a database" in notes.said[0][1]
+    assert {level for level, _ in notes.journalled} == {"alarm"}
+    assert "not a database" in notes.journalled[0][1]
     assert path.stat().st_size == 0
 
 

@@ -34,13 +34,13 @@ def batch(key, number):
 
 class Notes:
     def __init__(self):
-        self.acknowledged, self.said = [], []
+        self.acknowledged, self.journalled = [], []
 
     def note(self, item):
         self.acknowledged += [s.number for s in item.scans]
 
     def journal(self, level, message):
-        self.said.append((level, str(message)))
+        self.journalled.append((level, str(message)))
 
 
 def numbers(store):
@@ -164,9 +164,9 @@ def test_a_locked_store_makes_scans_wait_says_so_once_and_loses_none(tmp_path):
         wait_until(lambda: len(notes.acknowledged) == 50)
         outbox.close()
         assert numbers(store) == list(range(50))
-        assert [level for level, _ in notes.said] == ["alarm", "info"]
-        assert "another process holds it" in notes.said[0][1]
-        assert "takes data again" in notes.said[1][1]
+        assert [level for level, _ in notes.journalled] == ["alarm", "info"]
+        assert "another process holds it" in notes.journalled[0][1]
+        assert "takes data again" in notes.journalled[1][1]
 
 
 class Server:
@@ -209,7 +209,7 @@ def test_a_server_that_goes_away_is_replaced_by_a_local_buffer_and_filled_in_ord
             with sqlite3.connect(buffer) as kept:
                 assert kept.execute("SELECT count(*) FROM parcel").fetchone()[0] == 59
             kept.close()
-            assert "enough for" in notes.said[0][1]
+            assert "enough for" in notes.journalled[0][1]
         finally:
             server.start()
         outbox.put(batch(key, 60))
@@ -279,7 +279,7 @@ def test_a_full_disk_makes_scans_wait_and_recording_goes_on_when_there_is_room(s
 
         wait_until(is_full)
         last = next(put)
-        assert "free space on the disk" in notes.said[0][1]
+        assert "free space on the disk" in notes.journalled[0][1]
         assert store.newest_scan_number("lab") == max(notes.acknowledged)
         (small_disk / "ballast").unlink()
         wait_until(lambda: len(notes.acknowledged) == last)
@@ -305,8 +305,8 @@ def test_a_disk_that_turns_read_only_makes_scans_wait_until_it_is_mended(small_d
             for n in range(1, 30):
                 outbox.put(batch(key, n))
             wait_until(lambda: outbox.trouble)
-            assert notes.said[0][0] == "alarm"
-            assert "its disk is not mounted read-only" in notes.said[0][1]
+            assert notes.journalled[0][0] == "alarm"
+            assert "its disk is not mounted read-only" in notes.journalled[0][1]
             assert notes.acknowledged == [0]
         finally:
             remount("rw")

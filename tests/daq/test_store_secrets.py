@@ -64,14 +64,14 @@ def test_a_password_is_nowhere_in_what_a_session_with_faults_wrote(tmp_path, ser
                 wait_until(lambda: any(e.message.code == "configuration-refused" for e in store.journal().items))
             finally:
                 child.terminate()
-        told = [error.read_text()]
-        told += [f"{e.message} {e.message.to_json()} {e.detail}" for e in store.journal(limit=1000).items]
-        told += [str(s.status) for s in store.statuses().values()]
-        told += [store.configuration_of(run.run) for run in store.runs().items]
-        told += [repr(load_config_of(made)), str(load_config_of(made).store.url)]
-    assert any("[[press]]" in text for text in told)
+        texts = [error.read_text()]
+        texts += [f"{e.message} {e.message.to_json()} {e.detail}" for e in store.journal(limit=1000).items]
+        texts += [str(s.status) for s in store.statuses().values()]
+        texts += [store.configuration_of(run.run) for run in store.runs().items]
+        texts += [repr(load_config_of(made)), str(load_config_of(made).store.url)]
+    assert any("[[press]]" in text for text in texts)
     for secret in (SECRET, "gehei%20mnis-4711", "mnis-4711"):
-        assert not [text for text in told if secret in text]
+        assert not [text for text in texts if secret in text]
 
 
 def load_config_of(made):
@@ -186,9 +186,9 @@ def test_what_is_no_path_is_refused_before_a_file_is_made_and_not_printed(url, t
     there = sorted(tmp_path.iterdir())
     assert main(["check", "--offline"]) in (1, 2)
     assert main(["export", "x", "--store", url]) in (1, 2)
-    said = "".join(capsys.readouterr())
-    assert "store" in said
-    assert not [fragment for fragment in FRAGMENTS if fragment in said]
+    output = "".join(capsys.readouterr())
+    assert "store" in output
+    assert not [fragment for fragment in FRAGMENTS if fragment in output]
     assert sorted(tmp_path.iterdir()) == there
 
 

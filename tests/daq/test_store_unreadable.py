@@ -60,13 +60,13 @@ def test_a_damaged_row_is_an_error_with_run_scan_and_remedy_and_the_other_runs_a
                 connection.execute(update(SCAN).where(SCAN.c.number == number).values(**DAMAGE[damage]))
             run = "a-few" if number == 17 else "many"
             for read in (store.load_run, store.run_for_file):
-                with pytest.raises(ScansUnreadable) as told:
+                with pytest.raises(ScansUnreadable) as refused:
                     read(run)
-                said = str(told.value)
-                assert run in said
-                assert f"scan {number} " in said
-                assert store.label.rpartition("/")[2] in said  # an error hides who is let in
-                assert "kerntemp backup --restore" in said
+                text = str(refused.value)
+                assert run in text
+                assert f"scan {number} " in text
+                assert store.label.rpartition("/")[2] in text  # an error hides who is let in
+                assert "kerntemp backup --restore" in text
             if run == "a-few":
                 assert np.array_equal(store.load_run("many").columns["top_1"], before.columns["top_1"])
                 assert len(store.load_run("a-few", to_s=10.0).time_s) == 11
@@ -93,10 +93,10 @@ def test_a_torn_page_costs_the_runs_on_it_alone_and_the_terminal_names_run_and_r
         with pytest.raises(StoreUnavailable, match="damaged"):
             store.scans_after("lab", 310, 200)
     assert main(["export", "two", "--out", str(tmp_path / "two.csv"), "--store", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert "run two" in said
-    assert str(path) in said
-    assert "kerntemp backup --restore" in said
+    output = capsys.readouterr().err
+    assert "run two" in output
+    assert str(path) in output
+    assert "kerntemp backup --restore" in output
     assert not (tmp_path / "two.csv").exists()
     assert main(["export", "three", "--out", str(tmp_path / "three.csv"), "--store", str(path)]) == 0
 
@@ -123,9 +123,9 @@ def test_a_header_that_cannot_be_read_is_told_of_its_run(store_url):
 
 def test_a_column_that_does_not_exist_is_no_damage(store_url):
     with filled(store_url, COUNT) as store:
-        with pytest.raises(InputError) as told:
+        with pytest.raises(InputError) as refused:
             store.load_run("many", ["top_9"])
-        assert not isinstance(told.value, ScansUnreadable)
+        assert not isinstance(refused.value, ScansUnreadable)
         with store.database.reading() as connection:
             assert connection.execute(text("SELECT count(*) FROM scan")).scalar_one() == 340
 
@@ -156,10 +156,10 @@ def test_lists_hold_the_sound_runs_and_name_the_damaged_one_which_alone_is_refus
         found = {record.run: record for record in store.runs().items}
         assert list(found) == ["last", "many", "a-few"]
         assert [run for run, record in found.items() if record.damage] == ["many"]
-        said = str(found["many"].damage)
-        assert said.startswith("run many: its header is damaged in store ")
-        assert store.label.rpartition("/")[2] in said
-        assert "kerntemp backup --restore" in said
+        text = str(found["many"].damage)
+        assert text.startswith("run many: its header is damaged in store ")
+        assert store.label.rpartition("/")[2] in text
+        assert "kerntemp backup --restore" in text
         assert found["many"].header == {}
         assert (found["many"].first_scan, found["many"].last_scan) == (40, 339)
         assert [record.run for record in store.damaged_runs()] == ["many"]

@@ -257,7 +257,7 @@ def test_what_is_thinned_is_not_gone_through_again_after_a_restart_however_much_
 def statements_of(store, asked):
     """Let every statement of a store be noted."""
     store.presses()
-    event.listen(store.database.engine, "before_cursor_execute", lambda *told: asked.append(told[2]))
+    event.listen(store.database.engine, "before_cursor_execute", lambda *arguments: asked.append(arguments[2]))
 
 
 def test_sizes_tell_what_a_scan_costs(store_url):

@@ -18,7 +18,7 @@ PANEL = '[[layer]]\nname = "panel"\nfrom_run = true\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("a = 1\nb = " + 4301 * "9", r"line 2: a whole number with more than 300 digits"),
         ("x = 1\n\nb = " + 301 * "9", r"line 3: a whole number with more than 300 digits"),
@@ -30,20 +30,20 @@ PANEL = '[[layer]]\nname = "panel"\nfrom_run = true\n'
     ],
 )
 def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_in_press_file_and_configuration(
-    tmp_path, text, said
+    tmp_path, text, expected
 ):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=expected):
         read_toml(text)
-    with pytest.raises(InputError, match=f"^press file: .*{said}"):
+    with pytest.raises(InputError, match=f"^press file: .*{expected}"):
         parse_press(text)
     path = tmp_path / "kerntemp.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=f"kerntemp.toml: .*{said}"):
+    with pytest.raises(InputError, match=f"kerntemp.toml: .*{expected}"):
         load_config(path)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         (b"a = 1\nb = ", "kein gültiges TOML: unverständlich ab Zeile 2, Spalte 5"),
         (b"a = 1\n= 2\n", "kein gültiges TOML: unverständlich ab Zeile 2, Spalte 1"),
@@ -52,13 +52,13 @@ def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_in_press_fil
         (b"a = 1\nb = '\xfc'", "Zeile 2: kein UTF-8-Text"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said_in_one_language_with_its_line(tmp_path, text, said):
+def test_what_is_wrong_with_a_file_is_said_in_one_language_with_its_line(tmp_path, text, expected):
     path = tmp_path / "kerntemp.toml"
     path.write_bytes(text)
     for read in (load_config, read_press):
         with pytest.raises(InputError) as refused:
             read(path)
-        assert said in words(spoken(refused.value), "de")
+        assert expected in words(spoken(refused.value), "de")
 
 
 def test_a_large_whole_number_and_a_longer_text_are_read():

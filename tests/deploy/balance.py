@@ -173,7 +173,7 @@ class _Count:
         self.balance.say("clock steps", truth.clock_steps, steps, {})
 
     def _load(self) -> _Scans:
-        said = {at: count for e in self.journal if "left out" in str(e.message) for at, count in _pairs(e)}
+        left_out = {at: count for e in self.journal if "left out" in str(e.message) for at, count in _pairs(e)}
         begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in str(e.message)}
         numbers, stamps, qualities, values, good = [], [], [], [], []
         for scan in _scans(self.store, self.truth.press):
@@ -200,7 +200,7 @@ class _Count:
             qualities,
             np.array(values),
             np.array(good),
-            np.array([said.get(at, 0) for at in stamps.tolist()]),
+            np.array([left_out.get(at, 0) for at in stamps.tolist()]),
             columns,
             begins,
         )
@@ -478,7 +478,7 @@ class _Count:
 
     def _count_fits(self) -> None:
         """Every run that ended has a fit of the whole, or its record or the journal says why not."""
-        said = " ".join(str(e.message) for e in self.journal)
+        text = " ".join(str(e.message) for e in self.journal)
         causes: Counter[str] = Counter()
         fitted, where = 0, []
         ended = [r for r in self.runs if r.status is not RunStatus.OPEN]
@@ -494,7 +494,7 @@ class _Count:
                 whole.append(run.run)
             elif run.moments.closed_s != run.moments.closed_s:
                 causes["closing not seen, as stored"] += 1
-            elif any(f"run {run.run} {why}" in said for why in NO_FIT):
+            elif any(f"run {run.run} {why}" in text for why in NO_FIT):
                 causes["not possible, as journalled"] += 1
             else:
                 where.append(f"{run.run} {run.status.value}")

@@ -246,8 +246,8 @@ class Endurance:
                     )
         for name, child in self.children.items():
             self.memory[name].append((child.pid, time.monotonic(), _resident(child.pid)))
-        told = f"{self.clock() / 3600.0:.1f} h, pressing {max(self.press.pressed)}, {len(self.faults)} faults\n"
-        (self.folder / "progress").write_text(told)
+        text = f"{self.clock() / 3600.0:.1f} h, pressing {max(self.press.pressed)}, {len(self.faults)} faults\n"
+        (self.folder / "progress").write_text(text)
 
     def _break(self, kind: str) -> None:
         columns: tuple[str, ...] = ()
@@ -319,10 +319,10 @@ class Endurance:
         while time.monotonic() < deadline:
             last = self.store.statuses()["sense"].status["presses"][0]["last_scan"]
             ended = [r for r in self.store.runs(limit=20).items if r.status is not RunStatus.OPEN]
-            said = " ".join(str(e.message) for e in self.store.journal(limit=200).items)
+            messages = " ".join(str(e.message) for e in self.store.journal(limit=200).items)
             fitted = all(
                 "fingerprint" in (self.store.fit(r.run) or {})
-                or any(f"run {r.run} {why}" in said for why in NO_FIT)
+                or any(f"run {r.run} {why}" in messages for why in NO_FIT)
                 for r in ended
                 if r.moments.closed_s == r.moments.closed_s
             )

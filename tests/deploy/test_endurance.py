@@ -30,11 +30,11 @@ def test_after_every_kind_of_fault_nothing_is_unaccounted_for(tmp_path):
     plan = Plan(3, 9, Pace(15.0, 1.0), Pace(120.0, 0.5), day_s=3600.0)
     plant = Endurance(tmp_path, plan, seed=3)
     balance = plant.run()
-    told = "\n".join(balance.lines)
-    print("\n" + told)
+    text = "\n".join(balance.lines)
+    print("\n" + text)
     assert {fault.kind for fault in plant.faults} == {*FAULTS, RESTARTED}
-    assert {what: count for what, count in balance.unaccounted.items() if count} == {}, told
-    assert balance.sound, told
+    assert {what: count for what, count in balance.unaccounted.items() if count} == {}, text
+    assert balance.sound, text
 
 
 def test_the_plants_clock_changes_its_pace_and_never_jumps(monkeypatch):

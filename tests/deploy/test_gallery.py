@@ -99,12 +99,12 @@ def loosened(text):
 
 def says_the_same(one, other, *, timed=False):
     """Return whether two texts say the same, their numbers alike to `LOOSE` or the last digit shown."""
-    (words, numbers), (others, told) = loosened(one), loosened(other)
+    (words, numbers), (others, figures) = loosened(one), loosened(other)
     return words == others and (
         timed
         or all(
             abs(a - b) <= max(LOOSE * max(abs(a), abs(b)), 1.5 * max(digit, shown))
-            for (a, digit), (b, shown) in zip(numbers, told, strict=True)
+            for (a, digit), (b, shown) in zip(numbers, figures, strict=True)
         )
     )
 

@@ -57,9 +57,9 @@ def shell(tmp_path):
 @pytest.mark.campaign
 @pytest.mark.parametrize("page", [README, *GUIDE], ids=lambda page: page.stem)
 def test_every_command_of_the_page_can_be_pasted(page, shell, tmp_path):
-    said = "\n".join(shell(command) for command in commands(page))
+    text = "\n".join(shell(command) for command in commands(page))
     if any("diagnose" in command for command in commands(page)):
-        assert "moisture_evaporation" in said
+        assert "moisture_evaporation" in text
     if (tmp_path / "core.csv").is_file():
         table = np.genfromtxt(tmp_path / "core.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
         assert np.isfinite(table["core_C"][table["valid"] == 1]).all()

@@ -52,8 +52,8 @@ class Plant:
     @property
     def port(self):
         """Where the page's server listens, as it says; None before."""
-        said = re.search(r"serves http://127\.0\.0\.1:(\d+)/", (self.config.parent / "serve.log").read_text())
-        return said and int(said[1])
+        ways = re.search(r"serves http://127\.0\.0\.1:(\d+)/", (self.config.parent / "serve.log").read_text())
+        return ways and int(ways[1])
 
     def kill(self, name):
         self.running[name].send_signal(signal.SIGKILL)
@@ -76,11 +76,11 @@ class Plant:
 
     def allowed(self):
         """Who says that the panel may leave."""
-        said = {"REST"} if self.allowed_by_rest() else set()
+        ways = {"REST"} if self.allowed_by_rest() else set()
         heard = [e["data"] for e in self.stream.events if e["event"] == "estimate"]
-        said |= {"live events"} if heard and heard[-1]["open_now"] else set()
-        told = self.listener.got.get("plant/lab/open_now", [])
-        return said | ({"MQTT"} if told and told[-1]["open_now"] else set())
+        ways |= {"live events"} if heard and heard[-1]["open_now"] else set()
+        bodies = self.listener.got.get("plant/lab/open_now", [])
+        return ways | ({"MQTT"} if bodies and bodies[-1]["open_now"] else set())
 
 
 WAYS = {"REST", "live events", "MQTT"}

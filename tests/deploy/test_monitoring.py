@@ -32,12 +32,12 @@ def store(tmp_path):
         scan = Scan(0, NOW, 5.0, (200.0, float("nan")), (Quality.GOOD, Quality.OPEN))
         closing = [PressEvent(kind, 5.0, 5.0) for kind in (PressEventKind.INSERTED, PressEventKind.CLOSED)]
         opened.append_scans(key, [scan], closing, NewRun("one", 0, NOW, 5.0))
-        said = StoredEstimate(0, 5.0, PressState.CLOSED, 80.0, 0.5, 79.0, 81.0, True)
-        opened.append_estimates("lab", [said])
+        estimate = StoredEstimate(0, 5.0, PressState.CLOSED, 80.0, 0.5, 79.0, 81.0, True)
+        opened.append_estimates("lab", [estimate])
         logger = {"press": "lab", "name": "top", "state": "lost", "counters": {"good": 7, "no reply": 2}}
-        told = {"press": "lab", "missed_ticks": 3}
+        press = {"press": "lab", "missed_ticks": 3}
         opened.use_archive(tmp_path / "archive")
-        opened.beat("record", {"state": "running", "waiting": 4, "presses": [told], "loggers": [logger]})
+        opened.beat("record", {"state": "running", "waiting": 4, "presses": [press], "loggers": [logger]})
         opened.beat("sense", {"state": "running", "presses": [{"press": "lab", "behind_scans": 5}]})
         opened.beat("refit", {"state": "done", "message": "lab: 1 of 1 runs fitted"})
         opened.put_model("lab", "lab-1", {"effects": []})
@@ -85,10 +85,10 @@ def test_before_the_nightly_job_ever_came_to_its_end_its_age_counts_from_the_jou
 
 def test_a_press_that_is_no_longer_recorded_keeps_no_alarm_standing(store):
     week = timedelta(days=7)
-    for after, told in ((week, True), (week + timedelta(seconds=1), False)):
+    for after, expected in ((week, True), (week + timedelta(seconds=1), False)):
         text = metrics_text(store, NOW + after)
-        assert ("kerntemp_scan_age_seconds{" in text) == told
-        assert ("kerntemp_channel_good{" in text) == told
+        assert ("kerntemp_scan_age_seconds{" in text) == expected
+        assert ("kerntemp_channel_good{" in text) == expected
     assert 'kerntemp_scans_total{press="lab"} 1.0' in text
 
 
@@ -97,8 +97,8 @@ def test_of_several_machines_in_one_database_each_has_its_own_sign_of_life(postg
         for host, state in (("north", "answers"), ("south", "lost")):
             monkeypatch.setattr("daq.store.store.gethostname", lambda host=host: host)
             logger = {"press": host, "name": "top", "state": state}
-            told = {"press": host, "missed_ticks": 3}
-            status = {"state": "running", "waiting": 4, "presses": [told], "loggers": [logger]}
+            press = {"press": host, "missed_ticks": 3}
+            status = {"state": "running", "waiting": 4, "presses": [press], "loggers": [logger]}
             store.beat(store.beats_as("record"), status)
             store.beat(store.beats_as("sense"), {"state": "running", "presses": []})
         now = datetime.now(UTC)

@@ -105,8 +105,8 @@ def test_installed_alone_it_says_its_version_and_serves_its_page(wheel, tmp_path
     subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "venv")], check=True)
     python = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
     subprocess.run([python, "-m", "pip", "install", "-q", str(wheel)], check=True)
-    told = subprocess.run([python, "-m", "api", "--version"], cwd=tmp_path, capture_output=True, text=True)
-    assert told.stdout == f"kerntemp {PROJECT['version']}\n"
+    done = subprocess.run([python, "-m", "api", "--version"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout == f"kerntemp {PROJECT['version']}\n"
     where = subprocess.run(
         [python, "-c", "import api; print(api.__file__)"], cwd=tmp_path, capture_output=True, text=True
     )

@@ -107,9 +107,9 @@ class PressPc:
         stack.callback(self.stop)
         self._stand_in("sudo", 'exec "$@"\n', "/bin/sh")
         self._stand_in("kerntemp", f'exec {self.program} "$@"\n', "/bin/sh")
-        told = {"units": str(ROOT / "deploy" / "systemd"), "pc": str(folder), "program": self.program}
+        values = {"units": str(ROOT / "deploy" / "systemd"), "pc": str(folder), "program": self.program}
         text = SYSTEMCTL
-        for key, value in told.items():
+        for key, value in values.items():
             text = text.replace("{" + key + "!r}", repr(value))
         self._stand_in("systemctl", text, sys.executable)
 
@@ -220,7 +220,7 @@ def pc(tmp_path: Path) -> Iterator[PressPc]:
 @posix_only
 @pytest.mark.campaign
 def test_every_command_works_in_the_order_of_the_runbook(pc):
-    said = {}
+    outputs = {}
     for line in commands(setup=False):
         command = line.removeprefix("sudo ")
         if command == "kerntemp check" or "--write" in command:
@@ -229,12 +229,12 @@ def test_every_command_works_in_the_order_of_the_runbook(pc):
             pc.warm_from = pc._reads + 11
         if command == "kerntemp export":
             pc.press_a_panel()
-        said[command] = pc.run(line)
+        outputs[command] = pc.run(line)
         pc.warm_from = None if "--warm" in command else pc.warm_from
-    assert "adam-4118-ascii" in said["kerntemp probe --port /dev/kerntemp/bus"]
-    assert "adam-6018+" in said["kerntemp probe --host 192.168.0.21"]
-    assert "top_3" in said["kerntemp calibrate --warm --wait 10"]
-    assert "kt_" in said["kerntemp token create tablet --scope read"]
+    assert "adam-4118-ascii" in outputs["kerntemp probe --port /dev/kerntemp/bus"]
+    assert "adam-6018+" in outputs["kerntemp probe --host 192.168.0.21"]
+    assert "top_3" in outputs["kerntemp calibrate --warm --wait 10"]
+    assert "kt_" in outputs["kerntemp token create tablet --scope read"]
     assert (pc.folder / "var/lib/kerntemp/first.json").is_file()
     assert (pc.folder / "var/lib/kerntemp/restored.sqlite").is_file()
     with open_store(str(pc.folder / "var/lib/kerntemp/kerntemp.sqlite")) as store:

@@ -101,8 +101,8 @@ def running(root: Path, unit: str, *more: str) -> Iterator[tuple[subprocess.Pope
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
         line.bind(place)
         line.settimeout(800)  # the live sensor compiles before it is ready
-        told = {"NOTIFY_SOCKET": place, "NUMBA_CACHE_DIR": str(root / "var/cache/kerntemp")}
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")} | told
+        values = {"NOTIFY_SOCKET": place, "NUMBA_CACHE_DIR": str(root / "var/cache/kerntemp")}
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")} | values
         log = (root / f"{unit}.log").open("w")
         service = subprocess.Popen(
             [*start_line(root, unit), *more],
@@ -171,8 +171,8 @@ def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(
     store = root / "var/lib/kerntemp/kerntemp.sqlite"
     command = root / "usr/local/bin/kerntemp"
 
-    said = set_up(root, "install", first)
-    assert f"Kerntemp {own} is installed" in said
+    output = set_up(root, "install", first)
+    assert f"Kerntemp {own} is installed" in output
     assert "kerntemp:x:" in (root / "etc/passwd").read_text()
     assert (root / "etc/udev/rules.d/60-kerntemp.rules").is_file()
     assert oct((root / "etc/kerntemp/kerntemp.toml").stat().st_mode)[-3:] == "640"
@@ -197,9 +197,9 @@ def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(
         configured = (root / "etc/kerntemp/kerntemp.toml").read_text()
         before = rows(store)
 
-        said = set_up(root, "update", second)
-        assert "the store's schema changes" in said
-        assert "written and checked" in said
+        output = set_up(root, "update", second)
+        assert "the store's schema changes" in output
+        assert "written and checked" in output
         assert (root / "opt/kerntemp/current").readlink() == Path("7.7.7")
         assert subprocess.run([command, "--version"], capture_output=True, text=True).stdout == "kerntemp 7.7.7\n"
         assert (root / "etc/kerntemp/kerntemp.toml").read_text() == configured
@@ -209,8 +209,8 @@ def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(
         after = rows(store)
         assert after > before
 
-        said = set_up(root, "rollback")
-        assert f"Kerntemp {own} is in force again" in said
+        output = set_up(root, "rollback")
+        assert f"Kerntemp {own} is in force again" in output
         assert rows(store) == before
         kept = next((root / "var/lib/kerntemp").glob("kerntemp-7.7.7-*.sqlite"))
         assert rows(kept) == after

@@ -198,7 +198,7 @@ def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_i
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "expected"),
     [
         ({}, "no limit is given"),
         ({"limits": {"cure_least": 0.9}}, "needs the resin's kinetics"),
@@ -216,8 +216,8 @@ def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_i
         ({"limits": {"core_cold": 60.0}}, "core_cold"),
     ],
 )
-def test_what_cannot_be_advised_on_is_refused(given: dict[str, dict[str, float]], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_what_cannot_be_advised_on_is_refused(given: dict[str, dict[str, float]], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
         softsensor.advise(press(), model(), **given)  # type: ignore[arg-type]
 
 
@@ -235,14 +235,14 @@ def test_the_command_writes_answer_and_figure(tmp_path: Path, capsys: pytest.Cap
     options = ["--resin", str(RESIN), "--price", "0.3", "--json", str(out), "--svg", str(svg)]
     options += ["--panel", "panel.thickness_mm=8", "--range", "platen_temperature_C=180:190"]
     assert main([*command, *options]) == 0
-    said = capsys.readouterr().out
-    told = json.loads(out.read_text(encoding="utf-8"))
+    output = capsys.readouterr().out
+    written = json.loads(out.read_text(encoding="utf-8"))
     keys = {"panel", "resin", "limits", "probability", "goal", "best", "programs", "tradeoff", "measure"}
-    assert set(told) == keys
-    assert f"Press for {told['best']['press_time_s']:.0f} s at" in said
-    assert told["best"]["risk"] <= 0.025
-    assert told["best"]["cost_eur"] == pytest.approx(0.3 * told["best"]["energy_kWh"], rel=1e-3)
-    assert len(told["tradeoff"]["press_time_s"]) == len(told["tradeoff"]["risk"])
+    assert set(written) == keys
+    assert f"Press for {written['best']['press_time_s']:.0f} s at" in output
+    assert written["best"]["risk"] <= 0.025
+    assert written["best"]["cost_eur"] == pytest.approx(0.3 * written["best"]["energy_kWh"], rel=1e-3)
+    assert len(written["tradeoff"]["press_time_s"]) == len(written["tradeoff"]["risk"])
     assert svg.read_text(encoding="utf-8").startswith("<?xml")
     assert main([*command, "--panel", "thick"]) == 2
     assert "must be KEY=VALUE" in capsys.readouterr().err

@@ -58,8 +58,8 @@ def test_each_panel_is_foreseen_by_those_before_it_alone() -> None:
     steam, blistered = panels(np.random.default_rng(11), 30, 70.0, 0.15)
     given = []
     for k in range(1, 30):
-        told = Normal(steam.mean[:k], steam.sd[:k]), blistered[:k]
-        chance = float(learn_limit(*told).chance(Normal(steam.mean[k], steam.sd[k])))
+        marked = Normal(steam.mean[:k], steam.sd[:k]), blistered[:k]
+        chance = float(learn_limit(*marked).chance(Normal(steam.mean[k], steam.sd[k])))
         given.append(np.log(chance if blistered[k] else 1.0 - chance))
     found = learn_limit(steam, blistered)
     assert found.foreseen[0] == pytest.approx(np.exp(np.mean(given)), rel=1e-6)
@@ -87,8 +87,8 @@ def test_the_limits_deviation_in_the_resin_file_counts() -> None:
     unknown = Normal(np.array(np.nan), np.array(np.nan))
     for kPa in (50.0, 60.0, 80.0):
         steam = Normal(np.log(kPa), np.array(READ_SD))
-        told = broken(written, None, PanelState(unknown, unknown, unknown, steam)).chances[STEAM]
-        assert float(told) == pytest.approx(float(found.chance(steam)), abs=0.012)
+        chances = broken(written, None, PanelState(unknown, unknown, unknown, steam)).chances[STEAM]
+        assert float(chances) == pytest.approx(float(found.chance(steam)), abs=0.012)
 
 
 SAMPLES = Path(__file__).parents[2] / "deploy"
@@ -117,13 +117,15 @@ def test_what_is_learned_is_said_with_what_to_write_into_the_resin_file() -> Non
     found = learn_limit(Normal(log, np.full(20, 0.05)), np.repeat([False, True], 10))
     marks, bear, foreseen, write, keep = (str(line) for line in limit_messages(found))
     assert marks == "20 marked panels whose steam at opening is known, 10 blistered."
-    told = found.as_json()
-    low, high = told["ci95_kPa"]
-    learned, stated = (100.0 * told["foreseen"][key] for key in ("learned", "stated"))
+    content = found.as_json()
+    low, high = content["ci95_kPa"]
+    learned, stated = (100.0 * content["foreseen"][key] for key in ("learned", "stated"))
     assert f"a mean probability of {learned:.0f} %, by the stated limit {stated:.0f} %" in foreseen
     assert "steam_believed_kPa = 100, steam_believed_kPa.sd = 35" in keep
-    assert f"withstand {told['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
-    assert f"steam_most_kPa = {told['steam_most_kPa']:.0f}, steam_most_kPa.sd = {told['sd_kPa']:.0f}" in write
+    assert f"withstand {content['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
+    assert (
+        f"steam_most_kPa = {content['steam_most_kPa']:.0f}, steam_most_kPa.sd = {content['sd_kPa']:.0f}" in write
+    )
 
 
 @pytest.mark.parametrize("stated", ["", "steam_most_kPa = 60\nsteam_most_kPa.sd = 9\n"])

@@ -118,8 +118,8 @@ def test_dependence_on_pressure_is_found_and_predicts_a_program_never_run(campai
     slope = fitted.as_json()["coefficients"]["h_pp_c"]["pressure_N_cm2"]
     assert slope["ci95"][0] < 0.8 / 340.0 < slope["ci95"][1]
     assert slope["ci95"][0] > 0
-    told = fitted.predict({"pressure_N_cm2": 420.0})["h_pp_c"]
-    assert abs(told.value - 700.0 * (420 / 340) ** 0.8) < 2.5 * told.sd
+    predicted = fitted.predict({"pressure_N_cm2": 420.0})["h_pp_c"]
+    assert abs(predicted.value - 700.0 * (420 / 340) ** 0.8) < 2.5 * predicted.sd
 
 
 def test_coefficients_of_a_hotter_program_are_predicted_from_cooler_ones():
@@ -130,10 +130,10 @@ def test_coefficients_of_a_hotter_program_are_predicted_from_cooler_ones():
     )  # fmt: skip
     found = fit_campaign(PRESS, [run for run, _ in make_campaign(31, 12, plan=plan)])
     assert found.dependence is not None
-    told = found.dependence.predict({"platen_temperature_C": 210.0})
+    predicted = found.dependence.predict({"platen_temperature_C": 210.0})
     for name, trend in trends.items():
         expected = plan.coefficients[name] * np.exp(trend * 15.0)
-        assert abs(told[name].value - expected) < 2.5 * told[name].sd, name
+        assert abs(predicted[name].value - expected) < 2.5 * predicted[name].sd, name
         slope = found.dependence.as_json()["coefficients"][name]["platen_temperature_C"]["ci95"]
         assert slope[0] < trend < slope[1]
         assert slope[0] * slope[1] > 0
@@ -179,12 +179,12 @@ def test_interval_of_a_program_holds_what_it_says_with_few_runs():
         x = np.column_stack([np.ones(8), *(rng.uniform(-1.7, 1.7, (2, 8)))])
         beta, covariance, spread = _regress(x, rng.normal(0.0, 0.2, 8), np.full(8, 1e4))
         zero, one = np.zeros(2), np.ones(2)
-        told = Dependence(
+        predicted = Dependence(
             ("h",), ("pressure_N_cm2", "press_time_s"), zero, one, beta[None], covariance[None],
             np.array([spread]), -2 * one, 2 * one, 8,
         )  # fmt: skip
-        program = dict(zip(told.settings, rng.uniform(-1.0, 1.0, 2), strict=True))
-        low, high = told.program(program).intervals["h"]
+        program = dict(zip(predicted.settings, rng.uniform(-1.0, 1.0, 2), strict=True))
+        low, high = predicted.program(program).intervals["h"]
         inside.append(np.log(low) < rng.normal(0.0, 0.2) < np.log(high))
     assert 0.92 < np.mean(inside) < 0.98
 

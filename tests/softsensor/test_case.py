@@ -199,7 +199,7 @@ def test_step_means_keep_the_area_under_a_series():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "expected"),
     [
         ("setting.pressure_N_cm2", "high", "must be a number; correct"),
         ("ambient.temperature_C", "warm", "must be a number; correct"),
@@ -209,8 +209,8 @@ def test_step_means_keep_the_area_under_a_series():
         ("setting.pressure_N_cm2", float("nan"), "must be a number above 0 N/cm²"),
     ],
 )
-def test_a_header_key_that_is_no_sound_number_is_named(lab_press, make_run, moments, key, value, said):
-    with pytest.raises(InputError, match=rf"cycle: header key {re.escape(key)} = .*: {said}"):
+def test_a_header_key_that_is_no_sound_number_is_named(lab_press, make_run, moments, key, value, expected):
+    with pytest.raises(InputError, match=rf"cycle: header key {re.escape(key)} = .*: {expected}"):
         prepared(lab_press, make_run(end=30.0, **{key: value}), moments)
 
 
@@ -237,7 +237,7 @@ load = { column = "kN" }
 
 
 @pytest.mark.parametrize(
-    ("rows", "value", "said"),
+    ("rows", "value", "expected"),
     [
         ((300, 450), np.nan, r"load column 'kN' is empty for 15\.\d s around time_s = .*at most 10 s"),
         ((300, 301), np.inf, r"load column 'kN' = inf at time_s = 30: must be a finite number"),
@@ -250,14 +250,14 @@ load = { column = "kN" }
         ((0, 100), -0.1, None),
     ],
 )
-def test_a_load_is_held_to_the_boundarys_rule_and_above_0_while_closed(make_run, moments, rows, value, said):
+def test_a_load_is_held_to_the_boundarys_rule_and_above_0_while_closed(make_run, moments, rows, value, expected):
     run = make_run(end=60.0)
     run.columns["kN"] = np.full(len(run.time_s), 80.0)
     run.columns["kN"][slice(*rows)] = value
-    if said is None:
+    if expected is None:
         assert np.isfinite(prepared(parse_press(LOADED), run, moments).load[0]).all()
         return
-    with pytest.raises((BoundaryGap, Nonphysical), match=said):
+    with pytest.raises((BoundaryGap, Nonphysical), match=expected):
         prepared(parse_press(LOADED), run, moments)
 
 
@@ -359,9 +359,9 @@ def test_a_core_at_a_depth_is_what_a_thermocouple_there_reads(lab_press, make_ru
     known = ModelFile("m", "lab", sure, missing=complete)
     closed = ((run.time_s >= moments.closed_s) & (run.time_s < moments.opened_s)).astype(float)
     columns = {n: v for n, v in run.columns.items() if n.startswith("platen")} | {"closed": closed}
-    told = [e.core_C for e in replay(press, replace(run, columns=columns), known).estimates]
+    estimates = [e.core_C for e in replay(press, replace(run, columns=columns), known).estimates]
     while_closed = (run.time_s > 40.0) & (run.time_s < 80.0)
-    assert np.array(told)[while_closed] == pytest.approx(found.core[while_closed], abs=1.0)
+    assert np.array(estimates)[while_closed] == pytest.approx(found.core[while_closed], abs=1.0)
     middle = ThermalModel(lab_press)
     away = middle.solve(middle.prepare(run, moments), coefficients).core - found.core
     assert np.abs(away[while_closed]).min() > 1.0

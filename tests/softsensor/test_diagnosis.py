@@ -120,7 +120,7 @@ def test_a_name_that_the_nights_are_not_sure_of_is_only_suspected() -> None:
     assert content["extended"] == content["base"]
     assert content["next_measurement"].startswith("Insulate the rim")
     assert model_of(held.final).effects == ()
-    assert any("heat lost at the rim" in str(said) for said in verdict_messages(held))
+    assert any("heat lost at the rim" in str(message) for message in verdict_messages(held))
 
 
 def test_runs_show_a_hidden_cause_each_by_itself_and_none_where_nothing_is_hidden() -> None:
@@ -209,13 +209,13 @@ def test_what_hardly_saves_kelvins_says_why_it_is_named_and_what_it_moves() -> N
     found = diagnosed("edge_loss", 501, 7, 0.5)
     edge = found.findings[0]
     assert str(worth(found, edge)).endswith("on a typical run left out (geometric mean over the runs)")
-    said = str(worth(found, replace(edge, gain=Gain(-0.0, (-0.1, 0.1)))))
+    text = str(worth(found, replace(edge, gain=Gain(-0.0, (-0.1, 0.1)))))
     before, after = core_of(found.stages[0]), core_of(found.stages[1])
-    assert "(0.00 of " in said
-    assert "named because 7 of 7 runs, each left out in turn, fit better with it" in said
+    assert "(0.00 of " in text
+    assert "named because 7 of 7 runs, each left out in turn, fit better with it" in text
     shift = after - before
-    assert f"the core is {abs(shift):.1f} K {'hotter' if shift > 0 else 'cooler'} when the press opens" in said
-    assert re.search(r"it (raises|lowers) h_\w+ \(p[^)]+, (open|closed)\) by \d+ %", said)
+    assert f"the core is {abs(shift):.1f} K {'hotter' if shift > 0 else 'cooler'} when the press opens" in text
+    assert re.search(r"it (raises|lowers) h_\w+ \(p[^)]+, (open|closed)\) by \d+ %", text)
 
 
 def test_what_a_fitted_moment_of_insertion_shifts_is_no_error() -> None:
@@ -263,14 +263,14 @@ def test_core_thermocouples_refute_only_where_every_one_of_at_least_two_is_met_f
 
 
 def test_a_cause_named_beside_a_better_one_is_no_alternative_to_it() -> None:
-    told = ("moisture_evaporation", "thermocouple_lag", "resin_cure")
+    named = ("moisture_evaporation", "thermocouple_lag", "resin_cure")
     nothing = np.zeros(12)
-    found = [says(name, nothing, nothing, gain) for name, gain in zip(told, (90.0, 60.0, 50.0), strict=True)]
-    round_ = Round(found, {}, found[0], told)
-    assert _alternatives(round_, found[0], told[:2]) == ("moisture_evaporation", "resin_cure")
-    assert _alternatives(round_, found[0], told[:1]) == told
-    found[1] = says(told[1], nothing, nothing, 95.0)
-    assert _alternatives(round_, found[0], told[:2]) == told
+    found = [says(name, nothing, nothing, gain) for name, gain in zip(named, (90.0, 60.0, 50.0), strict=True)]
+    round_ = Round(found, {}, found[0], named)
+    assert _alternatives(round_, found[0], named[:2]) == ("moisture_evaporation", "resin_cure")
+    assert _alternatives(round_, found[0], named[:1]) == named
+    found[1] = says(named[1], nothing, nothing, 95.0)
+    assert _alternatives(round_, found[0], named[:2]) == named
 
 
 def test_a_scan_that_reads_one_face_after_the_other_is_no_cause() -> None:
@@ -342,11 +342,11 @@ def test_an_interval_holds_whichever_of_two_models_is_right_and_one_model_keeps_
     theta[fit.layout.names.index("edge_loss.W_m3K")] *= 1.2
     beside = replace(fit, theta=theta)
     one, other = (intervals(f, effect)["W_m3K"] for f in (fit, beside))
-    told = intervals_of_models([fit, beside], effect)["W_m3K"]
+    union = intervals_of_models([fit, beside], effect)["W_m3K"]
     assert one.ci95 is not None
     assert other.ci95 is not None
-    assert told.value == one.value
-    assert told.ci95 == (one.ci95[0], other.ci95[1])
+    assert union.value == one.value
+    assert union.ci95 == (one.ci95[0], other.ci95[1])
     assert intervals_of_models([fit], effect)["W_m3K"] == one
 
 
@@ -450,9 +450,9 @@ def test_the_noise_floor_is_the_readings_and_neither_the_misfit_nor_a_cap() -> N
 
 
 def test_a_named_cause_says_what_it_means_for_the_core() -> None:
-    said = sentences(core_messages(diagnosed("edge_loss", 501, 7, 0.5)))
-    assert "K cooler than by the plain model" in said
-    assert "Core thermocouples, which took no part in any fit" in said
+    text = sentences(core_messages(diagnosed("edge_loss", 501, 7, 0.5)))
+    assert "K cooler than by the plain model" in text
+    assert "Core thermocouples, which took no part in any fit" in text
     assert "core estimate stays as it is" in sentences(core_messages(diagnosed(None, 41)))
 
 
@@ -595,15 +595,15 @@ def test_pressings_asked_for_are_as_many_as_a_cause_needs() -> None:
 @pytest.mark.parametrize("name", [e.name for e in BUILT_IN])
 def test_the_next_measurement_is_one_sentence(name: str) -> None:
     finding = Finding(name, (name,), {}, 0.01, Gain(1.0, (0.5, 1.5)), Gain(1.0, (0.5, 1.5)), 1.0)
-    told = str(next_measurement(Verdict.NAMED, (finding,), AdviceBasis(12, panel=True)))
-    assert told.endswith(".")
-    assert ". " not in told
+    text = str(next_measurement(Verdict.NAMED, (finding,), AdviceBasis(12, panel=True)))
+    assert text.endswith(".")
+    assert ". " not in text
 
 
 @pytest.mark.parametrize("verdict", [v for v in Verdict if v not in (Verdict.NAMED, Verdict.AMBIGUOUS)])
 def test_a_rig_of_layers_is_told_nothing_of_panels_and_cores(verdict: Verdict) -> None:
-    told = {str(next_measurement(verdict, (), AdviceBasis(3, panel=panel))) for panel in (False, True)}
-    assert len(told) == 2
+    advice = {str(next_measurement(verdict, (), AdviceBasis(3, panel=panel))) for panel in (False, True)}
+    assert len(advice) == 2
     assert "panel" not in str(next_measurement(verdict, (), AdviceBasis(3, panel=False)))
     assert "core" not in str(next_measurement(verdict, (), AdviceBasis(3, panel=False)))
 
@@ -625,8 +625,8 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     beyond_chance = replace(found, verdict=Verdict.UNKNOWN_EFFECT)
     assert "with a cause added it fits them better than by chance" in sentences(verdict_messages(beyond_chance))
     unlike, elsewhere = ({"panels_alike": False}, {"panels_as_given": False})
-    for panels, said in ((unlike, "differ from one another"), (elsewhere, "otherwise than the headers give")):
-        assert said in sentences(
+    for panels, expected in ((unlike, "differ from one another"), (elsewhere, "otherwise than the headers give")):
+        assert expected in sentences(
             verdict_messages(replace(beyond_chance, remains=(replace(found.left, **panels),)))
         )
     differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
@@ -657,10 +657,10 @@ def heated(residual: Callable[[np.ndarray], np.ndarray]) -> tuple[Digest, np.nda
 
 def test_a_run_that_is_wrong_for_a_while_is_told_for_when_and_at_which_temperatures() -> None:
     digest, left = heated(lambda t: np.where((t > 500.0) & (t < 596.0), -8.0, 0.0))
-    (told,) = [where_row(p, [digest]) for p in stretches([digest], [left])]
-    assert (told["from_s"], told["to_s"]) == (477.0, 596.0)
-    assert told["residual_K"] == pytest.approx(-8.0 * 24 / 30, abs=0.4)
-    assert (told["low_C"], told["high_C"]) == pytest.approx((67.8, 79.4), abs=0.5)
+    (row,) = [where_row(p, [digest]) for p in stretches([digest], [left])]
+    assert (row["from_s"], row["to_s"]) == (477.0, 596.0)
+    assert row["residual_K"] == pytest.approx(-8.0 * 24 / 30, abs=0.4)
+    assert (row["low_C"], row["high_C"]) == pytest.approx((67.8, 79.4), abs=0.5)
 
 
 def test_neighbours_alike_are_told_as_one_stretch_and_others_apart() -> None:
@@ -813,8 +813,8 @@ def test_each_sign_pattern_and_its_opposite_count_once() -> None:
 def test_load_columns_a_run_lacks_are_among_the_remarks():
     text = press_toml().replace('closed = "h_p_c"', 'closed = "h_p_c"\nload = { column = "kN" }', 1)
     run, _ = make_campaign(5, 1)[0]
-    (said,) = _lacking_loads(parse_press(text), [run])
-    assert "load column 'kN' is missing" in str(said)
+    (remark,) = _lacking_loads(parse_press(text), [run])
+    assert "load column 'kN' is missing" in str(remark)
 
 
 def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
@@ -824,6 +824,6 @@ def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
         assert part in page
     english = {c: t.strip() for c, t in catalogue_of("en").entries().items() if c.startswith("report-")}
     shown = re.sub(r"<svg.*?</svg>|<style.*?</style>", "", page, flags=re.DOTALL)
-    assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in shown]
+    assert not [c for c, text in english.items() if "{" not in text and f">{text}<" in shown]
     assert not re.search(r"\bnamed\b", shown)  # the verdict's code, which is for machines
     assert re.search(r"erweitert \d,\d\d K", page)

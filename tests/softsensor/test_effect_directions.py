@@ -69,9 +69,9 @@ def test_a_contact_grows_from_closing_on_with_its_time_constant(solved):
     scene = replace(
         scene, step_start=closed + np.array([-2.0, 0.0, 7.0]), step_end=closed + np.array([0.0, 0.01, 7.01])
     )
-    told = find_effect("contact_buildup").terms(scene, {"deficit": 0.6, "time_constant_s": 7.0}).closed_contact
-    assert set(told) == set(scene.panel_contacts)
-    for factor in told.values():
+    contact = find_effect("contact_buildup").terms(scene, {"deficit": 0.6, "time_constant_s": 7.0}).closed_contact
+    assert set(contact) == set(scene.panel_contacts)
+    for factor in contact.values():
         assert factor == pytest.approx([0.4, 0.4, 1.0 - 0.6 / np.e], abs=1e-3)
 
 
@@ -86,10 +86,10 @@ def test_faces_denser_than_the_core_leave_the_panel_its_mass_and_are_alike(solve
     """The shape is 1 + a (z^4 - 1/5) from -1 to 1: at the faces 1 + 0.8 a, in the core 1 - 0.2 a, 1 on average."""
     *_, case = solved()
     inside = case.scene.panel_cells
-    told = find_effect("density_profile").terms(case.scene, {"amplitude": 0.5})
-    factor, width = np.asarray(told.capacity)[inside], case.mesh.dx[inside]
+    terms = find_effect("density_profile").terms(case.scene, {"amplitude": 0.5})
+    factor, width = np.asarray(terms.capacity)[inside], case.mesh.dx[inside]
     assert factor @ width / width.sum() == pytest.approx(1.0, abs=0.01)
     assert factor == pytest.approx(factor[::-1], abs=0.01)
     assert (factor[0], factor[-1], factor.min()) == pytest.approx((1.4, 1.4, 0.9), abs=0.05)
-    assert np.all(np.asarray(told.capacity)[~inside] == 1.0)
-    assert np.array_equal(told.conductivity, told.capacity)
+    assert np.all(np.asarray(terms.capacity)[~inside] == 1.0)
+    assert np.array_equal(terms.conductivity, terms.capacity)

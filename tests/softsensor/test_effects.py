@@ -313,8 +313,8 @@ def test_an_effect_without_english_words_is_refused_with_what_is_missing():
 
 def test_the_paper_table_example_finds_only_the_kilowatt_reading_able_to_laminate(tmp_path):
     figure = tmp_path / "faces.svg"
-    said = run_python(str(EXAMPLES / "paper_table" / "face_temperature.py"), str(figure))
-    able = [line for line in said.splitlines() if line.endswith("laminates")]
+    output = run_python(str(EXAMPLES / "paper_table" / "face_temperature.py"), str(figure))
+    able = [line for line in output.splitlines() if line.endswith("laminates")]
     assert len(able) == 1
     assert able[0].startswith("closed values in kW/m²K")
     assert figure.read_text(encoding="utf-8").startswith("<?xml")

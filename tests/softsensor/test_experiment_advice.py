@@ -99,10 +99,10 @@ def test_what_was_known_before_does_not_make_fewer_runs_do(measured):
     run, truth = measured
     bare = fit_run(MODEL, run, truth.moments, company=None)
     known = knowing(MODEL, h_ap=(bare.coefficients["h_ap"].value, 0.1))
-    told = fit_run(known, run, truth.moments, company=None)
+    fitted = fit_run(known, run, truth.moments, company=None)
     i = bare.problem.names.index("h_ap")
-    assert told.covariance[i, i] < 0.1 * bare.covariance[i, i]
-    assert repeats_for(told, i) == pytest.approx(repeats_for(bare, i), rel=0.2, abs=1)
+    assert fitted.covariance[i, i] < 0.1 * bare.covariance[i, i]
+    assert repeats_for(fitted, i) == pytest.approx(repeats_for(bare, i), rel=0.2, abs=1)
 
 
 def test_so_many_runs_that_nobody_makes_them_are_no_advice(fitted):

@@ -91,9 +91,9 @@ def fields_without_words(cls):
         target = getattr(node, "target", None) or next(iter(getattr(node, "targets", ())), None)
         if not isinstance(target, ast.Name) or target.id[0] == "_" or target.id == "model_config":  # pydantic's
             continue
-        told = following.value if isinstance(following, ast.Expr) else None
+        words = following.value if isinstance(following, ast.Expr) else None
         named.append(target.id)
-        if not (isinstance(told, ast.Constant) and isinstance(told.value, str)):
+        if not (isinstance(words, ast.Constant) and isinstance(words.value, str)):
             silent.append(target.id)
     return named, silent
 
@@ -108,22 +108,22 @@ def test_words_stand_under_every_field_of_every_public_class():
 
 @pytest.mark.parametrize("name", ["advise", "diagnose", "fit", "plan", "predict", "read_run", "simulate"])
 def test_every_public_function_says_what_it_refuses(name):
-    said = getattr(softsensor, name).__doc__
-    assert "Raises\n    ------\n    InputError\n" in said
+    docstring = getattr(softsensor, name).__doc__
+    assert "Raises\n    ------\n    InputError\n" in docstring
 
 
 def test_every_error_that_a_public_name_says_it_raises_is_public():
     public = {name: getattr(package, name) for package in (softsensor, daq) for name in package.__all__}
-    said = {}
+    documented_by = {}
     for name, one in public.items():
         members = [member for key, member in vars(one).items() if key[0] != "_"] if isinstance(one, type) else []
-        for told in (one, *members):
-            _, _, raised = inspect.cleandoc(told.__doc__ or "").partition("Raises\n------\n")
+        for documented in (one, *members):
+            _, _, raised = inspect.cleandoc(documented.__doc__ or "").partition("Raises\n------\n")
             errors = re.findall(r"^(\w+)$", raised.partition("\n\n")[0], re.M)
-            errors += re.findall(r"Raises `(\w+)`", told.__doc__ or "")
-            said.update(dict.fromkeys(errors, name))
-    assert said.keys() >= {"InputError", "StoreUnavailable"}
-    assert {error: name for error, name in said.items() if error not in public} == {}
+            errors += re.findall(r"Raises `(\w+)`", documented.__doc__ or "")
+            documented_by.update(dict.fromkeys(errors, name))
+    assert documented_by.keys() >= {"InputError", "StoreUnavailable"}
+    assert {error: name for error, name in documented_by.items() if error not in public} == {}
 
 
 def test_a_nonphysical_coefficient_is_refused():
@@ -167,26 +167,26 @@ def test_what_public_functions_take_and_give_is_public():
 def test_a_live_sensor_takes_what_the_other_functions_take_and_rows_as_pandas_has_them():
     table = daq.frame_of(softsensor.read_run(SHORT)).iloc[:40]
     by_hand = softsensor.LiveSensor(LAB, table.attrs)
-    said = [by_hand.update(time_s, row) for time_s, row in table.iterrows()]
+    estimate = [by_hand.update(time_s, row) for time_s, row in table.iterrows()]
     replayed = softsensor.predict(softsensor.read_run(table), LAB).frame()
-    assert [one.core_C for one in said if one.valid] == replayed.loc[replayed["valid"] == 1, "core_C"].tolist()
+    assert [one.core_C for one in estimate if one.valid] == replayed.loc[replayed["valid"] == 1, "core_C"].tolist()
     gaps = softsensor.LiveSensor(LAB, table.attrs)
     assert gaps.update(0.0, {**table.iloc[0], "top_1": None, "top_2": pd.NA}).state is not None
 
 
 @pytest.mark.parametrize(
-    ("time_s", "values", "said"),
+    ("time_s", "values", "expected"),
     [
         (1.0, {}, "a scan at 1 s after one at 1 s: times must rise"),
         (math.nan, {}, "times must rise"),
         (2.0, {"top_1": "20"}, "column top_1: '20' is not a number"),
     ],
 )
-def test_a_live_sensor_refuses_scans_that_cannot_be_and_goes_on(time_s, values, said):
+def test_a_live_sensor_refuses_scans_that_cannot_be_and_goes_on(time_s, values, expected):
     table = daq.frame_of(softsensor.read_run(SHORT))
     sensor = softsensor.LiveSensor(LAB, table.attrs)
     sensor.update(1.0, table.iloc[0])
-    with pytest.raises(daq.InputError, match=re.escape(said)):
+    with pytest.raises(daq.InputError, match=re.escape(expected)):
         sensor.update(time_s, values)
     assert sensor.update(3.0, table.iloc[1]).time_s == 3.0
 
@@ -201,11 +201,11 @@ def test_a_header_key_that_nothing_knows_is_warned_of_from_python_in_the_words_o
     if given == "table":
         table.attrs.update(odd)
         header = None
-    with pytest.warns(UserWarning, match=r"^header key shift\.supervisor is not known; it is kept, and") as said:
+    with pytest.warns(UserWarning, match=r"^header key shift\.supervisor is not known; it is kept, and") as warned:
         read = softsensor.read_run(source, header=header)
     assert read.header["shift.supervisor"] == "Kurz"
     softsensor.read_run(read)  # what is known already is not said twice
-    (one,) = said
+    (one,) = warned
     assert one.filename == __file__  # at the line that gave it
     with pytest.warns(UserWarning, match="shift"):
         softsensor.LiveSensor(LAB, read.header)
@@ -226,9 +226,9 @@ def test_readings_in_kelvin_and_a_conductivity_no_board_has_are_warned_of_wherev
     path = tmp_path / "kelvin.csv"
     write_run(read, path)
     assert main(["simulate", str(path), "--press", str(LAB), "--out", str(tmp_path / "core.csv")]) == 0
-    told = " ".join(capsys.readouterr().err.split())
-    assert "are the readings in kelvin" in told
-    assert "120" in told
+    output = " ".join(capsys.readouterr().err.split())
+    assert "are the readings in kelvin" in output
+    assert "120" in output
 
 
 def test_a_run_that_a_store_does_not_have_is_refused_with_what_a_python_user_does_next(tmp_path):
@@ -329,8 +329,8 @@ def test_any_table_comes_back_as_it_went_in(data, kinds, rows, start, zone, besi
     assert np.allclose(np.diff(by_seconds.index), 0.5)
     for name, values in frame.items():
         if name != "time_s" and not name.endswith("_str"):
-            told = np.array([np.nan if pd.isna(v) else float(v) for v in values])
-            assert run.columns[name].tobytes() == told.tobytes()
+            numbers = np.array([np.nan if pd.isna(v) else float(v) for v in values])
+            assert run.columns[name].tobytes() == numbers.tobytes()
     if zone is not None:
         assert run.header["recorded.started_utc"] == index[0]
     pd.testing.assert_frame_equal(daq.frame_of(daq.run_of(by_seconds)), by_seconds)
@@ -338,10 +338,10 @@ def test_any_table_comes_back_as_it_went_in(data, kinds, rows, start, zone, besi
 
 def test_tables_of_results_know_the_run_they_are_about():
     run = softsensor.read_run(SHORT, header={"recorded.started_utc": datetime(2026, 3, 4, 7, tzinfo=UTC)})
-    told = daq.frame_of(run).attrs
-    assert softsensor.predict(run, LAB).frame().attrs == told
-    assert softsensor.simulate(run, LAB).frame().attrs == told
-    assert softsensor.fit(run, LAB).frame().attrs == told
+    attributes = daq.frame_of(run).attrs
+    assert softsensor.predict(run, LAB).frame().attrs == attributes
+    assert softsensor.simulate(run, LAB).frame().attrs == attributes
+    assert softsensor.fit(run, LAB).frame().attrs == attributes
 
 
 def keyed(frame, key):
@@ -419,27 +419,27 @@ def test_words_in_a_column_that_the_press_file_names_are_refused_by_row(use, col
 def test_numbers_kept_as_objects_are_the_same_run():
     frame = daq.frame_of(softsensor.read_run(SHORT))
     mixed = frame.astype(object).where(frame.notna(), None)
-    ours, told = softsensor.read_run(mixed), softsensor.read_run(frame)
-    assert all(ours.columns[name].tobytes() == values.tobytes() for name, values in told.columns.items())
+    ours, theirs = softsensor.read_run(mixed), softsensor.read_run(frame)
+    assert all(ours.columns[name].tobytes() == values.tobytes() for name, values in theirs.columns.items())
 
 
 def test_a_pattern_that_hides_nothing_is_refused_as_by_the_command(tmp_path, capsys):
     with pytest.raises(
         daq.InputError, match=r"no column of run '2026-03-04-07' matches zzz\*; it has platen_"
-    ) as said:
+    ) as refused:
         softsensor.predict(SHORT, LAB, without=["top_*", "zzz*"])
     out = ["--out", str(tmp_path / "core.csv")]
     assert main(["predict", str(SHORT), "--press", str(LAB), "--without", "top_*, zzz*", *out]) == 2
-    assert str(said.value) in " ".join(capsys.readouterr().err.split())
+    assert str(refused.value) in " ".join(capsys.readouterr().err.split())
 
 
 def test_fit_gives_what_the_command_writes(fitted, written):
-    told = json.loads((written / "fit.json").read_text())
+    content = json.loads((written / "fit.json").read_text())
     ours = json.loads(fitted.to_json())
-    assert [r["run"] for r in ours["runs"]] == [r["run"] for r in told["runs"]]
-    assert ours["campaign"] == told["campaign"]
+    assert [r["run"] for r in ours["runs"]] == [r["run"] for r in content["runs"]]
+    assert ours["campaign"] == content["campaign"]
     table = fitted.frame()
-    first = told["runs"][0]
+    first = content["runs"][0]
     for name, entry in first["coefficients"].items():
         assert table.loc[(first["run"], name), "value"] == pytest.approx(entry["value"], rel=1e-4)
     assert fitted.plot()
@@ -449,10 +449,10 @@ def test_fit_gives_what_the_command_writes(fitted, written):
 def test_a_fit_of_one_run_tells_one_number_a_coefficient_and_no_scatter():
     one = softsensor.fit(SHORT, LAB)
     (run,) = one.campaign.runs
-    told = repr(one)
-    assert "nan" not in told.lower()
-    assert len(told.splitlines()) == 2  # heads and the run: one run has neither mean nor scatter
-    heads, row = (line.split() for line in told.splitlines())
+    text = repr(one)
+    assert "nan" not in text.lower()
+    assert len(text.splitlines()) == 2  # heads and the run: one run has neither mean nor scatter
+    heads, row = (line.split() for line in text.splitlines())
     cells = dict(zip(heads, row[1:], strict=True))
     drawn = [ax.get_title(loc="left") for ax in one.plot()]
     titles = {title.split()[0]: title for title in drawn if title}
@@ -472,10 +472,10 @@ def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
     out = tmp_path / "core.csv"
     assert main(["predict", str(SHORT), "--press", str(LAB), "--model", str(model), "--out", str(out)]) == 0
     assert {line.split(",")[6] for line in out.read_text().splitlines()[1:]} <= {"0", "1"}
-    told = pd.read_csv(out, keep_default_na=True).set_index("time_s")
+    table = pd.read_csv(out, keep_default_na=True).set_index("time_s")
     ours = softsensor.predict(SHORT, LAB, model)
-    assert np.allclose(ours.frame()["core_C"], told["core_C"], atol=6e-4, equal_nan=True)
-    assert ours.frame()["valid"].tolist() == told["valid"].tolist()
+    assert np.allclose(ours.frame()["core_C"], table["core_C"], atol=6e-4, equal_nan=True)
+    assert ours.frame()["valid"].tolist() == table["valid"].tolist()
     assert ours.plot()
     example = LAB.parents[1] / "resins" / "melamine_formaldehyde.toml"
     cured = softsensor.predict(SHORT, LAB, model, resin=example).frame()
@@ -515,7 +515,7 @@ def test_what_is_handed_out_cannot_be_changed_and_is_compared_as_the_object_it_i
 
 def test_the_answer_of_a_diagnosis_stays_what_it_is():
     found = softsensor.diagnose(SHORT, LAB, effects=["edge_loss"])
-    verdict, told = found.verdict, found.to_json()
+    verdict, text = found.verdict, found.to_json()
     found.content["verdict"] = "mine"
     found.content["base"].clear()
     found.content["where"].append({})
@@ -523,7 +523,7 @@ def test_the_answer_of_a_diagnosis_stays_what_it_is():
     for one in found.content["where"]:
         one["signal"] = "mine"
     assert found.verdict == verdict
-    assert found.to_json() == told
+    assert found.to_json() == text
     assert hash(found) != hash(softsensor.DiagnosisResult(found.diagnosis))
 
 
@@ -598,7 +598,7 @@ def test_a_store_that_is_closed_answers_no_more(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "expected"),
     [
         ({"scans": 0}, "scans = 0: must be a whole number, at least 1"),
         ({"scans": 2.5}, "scans = 2.5: must be a whole number"),
@@ -607,8 +607,8 @@ def test_a_store_that_is_closed_answers_no_more(tmp_path):
         ({"store": 5}, "int: a store is given as the path of its file"),
     ],
 )
-def test_a_run_is_not_played_where_store_press_or_pace_cannot_be(given, said, tmp_path):
-    with pytest.raises(daq.InputError, match=said):
+def test_a_run_is_not_played_where_store_press_or_pace_cannot_be(given, expected, tmp_path):
+    with pytest.raises(daq.InputError, match=expected):
         daq.play(**{"run": SHORT, "store": tmp_path / "runs.sqlite", "press": "lab"} | given)
     with pytest.raises(daq.InputError, match="NoneType: a store is given as the path of its file"):
         daq.open_store(None)
@@ -741,12 +741,12 @@ def test_runs_presses_models_and_estimates_are_tables_in_a_notebook(fitted):
 
 
 def test_a_plans_table_keeps_nats_shares_and_kelvins_apart(results):
-    table, told = results["plan"].frame(), json.loads(results["plan"].to_json())["open"]
+    table, written = results["plan"].frame(), json.loads(results["plan"].to_json())["open"]
     best = table.xs("best", level="pressing")
     for column, kind in (("half_share", "coefficient"), ("half_K", "core_band")):
-        expected = [one["best"]["half_interval"] if one["kind"] == kind else None for one in told]
+        expected = [one["best"]["half_interval"] if one["kind"] == kind else None for one in written]
         np.testing.assert_array_equal(best[column], np.array(expected, float))
-    assert best["worth_nats"].tolist() == [one["best"]["worth"] for one in told]
+    assert best["worth_nats"].tolist() == [one["best"]["worth"] for one in written]
     assert "half_interval" not in table
 
 
@@ -787,7 +787,7 @@ def advise(**asked):
 
 
 @pytest.mark.parametrize(
-    ("ask", "said"),
+    ("ask", "expected"),
     [
         (lambda: softsensor.read_run(5), "int: a run is given as the path of a CSV"),
         (lambda: softsensor.read_run({"time_s": [0.0]}), "dict: a run is given as"),
@@ -836,8 +836,8 @@ def advise(**asked):
         (lambda: daq.find_events(SHORT, None), "NoneType: a press is given as"),
     ],
 )
-def test_what_is_of_another_kind_than_asked_for_is_refused_in_words(ask, said):
-    with pytest.raises(daq.InputError, match=re.escape(said)):
+def test_what_is_of_another_kind_than_asked_for_is_refused_in_words(ask, expected):
+    with pytest.raises(daq.InputError, match=re.escape(expected)):
         ask()
 
 
@@ -849,9 +849,9 @@ def test_wrong_coefficients_are_refused_as_by_the_command(given, tmp_path, capsy
     path.write_text(json.dumps(given))
     out = ["--coefficients", str(path), "--out", str(tmp_path / "out.csv")]
     assert main(["simulate", str(SHORT), "--press", str(LAB), *out]) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert str(ours.value).removeprefix("model: ") in said
-    assert f"{path.name}: " in said
+    output = " ".join(capsys.readouterr().err.split())
+    assert str(ours.value).removeprefix("model: ") in output
+    assert f"{path.name}: " in output
 
 
 MADE = softsensor.ModelFile("made", "lab", {"h_zz": softsensor.FittedValue(700.0, 70.0)})
@@ -882,8 +882,8 @@ def test_a_model_of_another_press_is_warned_about_as_at_the_terminal():
 
 
 def test_one_pattern_may_be_a_text_and_a_run_a_file_for_every_function():
-    told = softsensor.predict(SHORT, LAB, without="top_*").frame()
-    pd.testing.assert_frame_equal(told, softsensor.predict(SHORT, LAB, without=["top_*"]).frame())
+    predicted = softsensor.predict(SHORT, LAB, without="top_*").frame()
+    pd.testing.assert_frame_equal(predicted, softsensor.predict(SHORT, LAB, without=["top_*"]).frame())
     assert daq.find_moments(SHORT, LAB) == daq.find_moments(softsensor.read_run(SHORT), LAB)
 
 

@@ -157,21 +157,21 @@ def test_shared_coefficient_reads_the_same_on_the_page_and_on_the_terminal(alike
         cell = f"{say('report-number', value=c.median)} ± {half:.0f} %"
         assert page.count(cell) == 2 * len(alike.runs), name
         column = 1 + names.index(name)
-        told = [line[column].rstrip("?") for line in lines[1 : 1 + len(alike.runs)]]
-        assert set(told) == {f"{c.median:.4g}"}
+        cells = [line[column].rstrip("?") for line in lines[1 : 1 + len(alike.runs)]]
+        assert set(cells) == {f"{c.median:.4g}"}
         assert lines[1 + len(alike.runs)][column] == f"{c.median:.4g}"
 
 
 def test_program_leaves_a_shared_coefficient_and_keeps_the_others_within_the_press_file(alike):
-    told = alike.program({"press_time_s": 9000.0})
+    program = alike.program({"press_time_s": 9000.0})
     for name in alike.shared:
         c = alike.coefficients[name]
-        assert told.coefficients[name].value == c.median
-        assert told.intervals[name] == c.median_ci95
+        assert program.coefficients[name].value == c.median
+        assert program.intervals[name] == c.median_ci95
     for name in NAMES:
-        table, (low, high) = PRESS.coefficient(name), told.intervals[name]
-        assert table.lower <= low <= told.coefficients[name].value <= high <= table.upper
-    assert any("beyond the press file's limit" in str(remark) for remark in told.remarks)
+        table, (low, high) = PRESS.coefficient(name), program.intervals[name]
+        assert table.lower <= low <= program.coefficients[name].value <= high <= table.upper
+    assert any("beyond the press file's limit" in str(remark) for remark in program.remarks)
 
 
 def test_one_run_shares_with_nobody():

@@ -74,12 +74,12 @@ def test_campaign_without_the_run_is_the_same_campaign(found, measured):
 def test_report_and_json_say_it_before_all_else(found):
     bad = found.runs[3]
     page = fit_report(found).replace("\N{NO-BREAK SPACE}", " ")
-    told = f"The model does not describe 1 of 9 runs: {bad.run} ({remains(bad)}"
-    assert page.partition('class="finding">')[2].startswith(told)
+    text = f"The model does not describe 1 of 9 runs: {bad.run} ({remains(bad)}"
+    assert page.partition('class="finding">')[2].startswith(text)
     assert "Fitted to 8 runs" in page
     assert f"{bad.run} (not described" in page
     lines = list(_lines(found))
-    assert lines[0].startswith(told)
+    assert lines[0].startswith(text)
     assert next(line for line in lines if line.lstrip().startswith(bad.run)).split()[1:7] == ["–"] * 6
     content = json.loads(json.dumps(found.as_json(), allow_nan=False))["runs"][3]
     assert content["met"] is False
@@ -104,13 +104,13 @@ def test_run_by_itself_gives_no_coefficient_and_a_model_file_of_guesses(found, m
 
 def test_press_file_with_the_faces_exchanged_is_noticed(measured):
     text = press_toml().replace('"top_*"', '"_"').replace('"bottom_*"', '"top_*"').replace('"_"', '"bottom_*"')
-    told = fit_campaign(parse_press(text), [run for run, _ in measured[:2]])
-    assert not told.met
-    assert str(told.shortfall).startswith("The model describes none of these runs")
-    page = fit_report(told).replace("\N{NO-BREAK SPACE}", " ")
+    fitted = fit_campaign(parse_press(text), [run for run, _ in measured[:2]])
+    assert not fitted.met
+    assert str(fitted.shortfall).startswith("The model describes none of these runs")
+    page = fit_report(fitted).replace("\N{NO-BREAK SPACE}", " ")
     assert page.partition('class="finding">')[2].startswith("The model describes none of these runs")
-    assert str(_campaign_title(told)).startswith("No coefficient is known")
-    assert next(_lines(told)) == str(told.shortfall)
+    assert str(_campaign_title(fitted)).startswith("No coefficient is known")
+    assert next(_lines(fitted)) == str(fitted.shortfall)
 
 
 def test_causes_a_diagnosis_is_there_for_do_not_make_a_run_a_misfit():

@@ -50,10 +50,10 @@ def _run(start_before_s, rate_hz=1.0, seed=5, **header):
 
 @pytest.mark.parametrize(("start_before_s", "when"), [(20.0, "before the insertion"), (0.0, "in the first row")])
 def test_start_temperature_that_is_not_the_channels_is_told(start_before_s, when):
-    said = _said(_run(start_before_s, panel__initial_temperature_C=40.0))
-    assert len(said) == 1
-    assert str(said[0]).startswith("header key panel.initial_temperature_C = 40, but the panel's channels read")
-    assert when in str(said[0])
+    texts = _said(_run(start_before_s, panel__initial_temperature_C=40.0))
+    assert len(texts) == 1
+    assert str(texts[0]).startswith("header key panel.initial_temperature_C = 40, but the panel's channels read")
+    assert when in str(texts[0])
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 1.0, 0.5])
@@ -95,9 +95,9 @@ def test_load_column_that_holds_nothing_is_told_with_what_is_done_instead(make_r
     run = replace(run, columns={**run.columns, "a": 20.0 + 0.9 * t})
     model = ThermalModel.of(model.press, ["contact_load"])
     problem = make_problem(model, run, Moments(inserted_s=0.0))
-    (said,) = remarks(problem.case, problem.signals, Moments(inserted_s=0.0))
-    assert str(said).startswith(f"rig: load column 'load_kN' {lacks}")
-    assert "boundary.bottom-block taken as independent of load" in str(said)
+    (remark,) = remarks(problem.case, problem.signals, Moments(inserted_s=0.0))
+    assert str(remark).startswith(f"rig: load column 'load_kN' {lacks}")
+    assert "boundary.bottom-block taken as independent of load" in str(remark)
     values = {"h": 300.0, "contact_load.exponent": 0.7}
     without = ThermalModel(model.press)
     plain = without.solve(without.prepare(run, Moments(inserted_s=0.0)), {"h": 300.0}).sensors

@@ -177,9 +177,9 @@ def test_a_law_of_temperature_has_the_derivatives_of_its_own_differences(kind):
     case = model.prepare(run, truth.moments)
     numbers = {made.effect.key(p.name): 0.3 for p in made.effect.parameters}
     up, down = (model.solve(case, model.guesses | numbers | {name: 0.3 + d}).sensors for d in (1e-4, -1e-4))
-    told = model.solve(case, model.guesses | numbers, (name,))
-    assert told.d_sensors[name] == pytest.approx((up - down) / 2e-4, abs=2e-3)
-    assert np.max(np.abs(told.d_sensors[name])) > 0.1
+    solved = model.solve(case, model.guesses | numbers, (name,))
+    assert solved.d_sensors[name] == pytest.approx((up - down) / 2e-4, abs=2e-3)
+    assert np.max(np.abs(solved.d_sensors[name])) > 0.1
 
 
 @pytest.mark.campaign
@@ -293,10 +293,10 @@ def test_a_law_found_goes_with_the_model_to_runs_nobody_has_seen(tmp_path):
             out = simulate_run(run, press, model.model(press), {**model.values, **truth.coefficients})
             inside = (out.time_s >= truth.moments.closed_s) & (out.time_s < truth.moments.opened_s)
             faces.append(np.mean((out.places["panel.top"] - truth.top_C)[inside] ** 2))
-            said = replay(press, run, model).estimates
+            estimates = replay(press, run, model).estimates
             live += [
                 (e.core_C - c, e.core_low_C <= c <= e.core_high_C)
-                for e, c in zip(said, truth.core_C, strict=True)
+                for e, c in zip(estimates, truth.core_C, strict=True)
                 if e.valid
             ]
         errors[name] = (np.sqrt(np.mean(faces)), *np.array(live).T)
@@ -340,13 +340,13 @@ def test_a_law_of_contact_that_grows_is_a_buildup():
 def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     x = np.linspace(0.0, 30.0, 33)
     curve = np.stack([x, 1.0 - 0.5 * x / 30.0, x, x], axis=1)
-    told = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
-    one = Law(*told, stage=settled("nothing"), kept={})
+    fields = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
+    one = Law(*fields, stage=settled("nothing"), kept={})
     found = SimpleNamespace(law=one, final=settled("nothing"), extended=SimpleNamespace(heldout_rmse_K=1.2))
-    said = [words(m, language) for m in law_messages(cast(Diagnosis, found))]
-    assert part in said[0]
-    assert len(said) == 4
-    assert {"en": "falls by 50 % between 0 and 30", "de": "zwischen 0 und 30 um 50 %"}[language] in said[1]
+    lines = [words(m, language) for m in law_messages(cast(Diagnosis, found))]
+    assert part in lines[0]
+    assert len(lines) == 4
+    assert {"en": "falls by 50 % between 0 and 30", "de": "zwischen 0 und 30 um 50 %"}[language] in lines[1]
     content = one.as_json()
     assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
     assert all(len(row) == 4 for row in content["curve"])

@@ -53,11 +53,11 @@ def measured(campaign):
     return found
 
 
-def compared(said, core):
+def compared(estimates, core):
     """Return errors, whether the band holds the truth, half-widths; of valid rows."""
     rows = [
         (e.core_C - c, e.core_low_C <= c <= e.core_high_C, (e.core_high_C - e.core_low_C) / 2)
-        for e, c in zip(said, core, strict=False)
+        for e, c in zip(estimates, core, strict=False)
         if e.valid
     ]
     return tuple(np.array(column) for column in zip(*rows, strict=True))
@@ -85,20 +85,20 @@ def plain():
 
 
 @pytest.fixture(scope="module")
-def said(plain):
+def estimates(plain):
     return replay(plain[0][0])
 
 
-def test_the_core_is_known_within_a_kelvin_where_nothing_is_missing(plain, said):
-    error, inside, width = compared(said, plain[0][1].core_C)
+def test_the_core_is_known_within_a_kelvin_where_nothing_is_missing(plain, estimates):
+    error, inside, width = compared(estimates, plain[0][1].core_C)
     assert rms(error) < 1.0
     assert inside.mean() >= 0.9
     assert width.mean() <= 2.5
 
 
-def test_the_band_is_about_two_of_the_cores_standard_deviations_to_either_side(said):
+def test_the_band_is_about_two_of_the_cores_standard_deviations_to_either_side(estimates):
     """1.96 of a normal; of a mixture with a broad hypothesis fewer, of one with a narrow one more."""
-    reach = np.array([(e.core_high_C - e.core_low_C) / 2 / e.core_sd_K for e in said if e.valid])
+    reach = np.array([(e.core_high_C - e.core_low_C) / 2 / e.core_sd_K for e in estimates if e.valid])
     assert np.median(reach) == pytest.approx(1.96, abs=0.4)
 
 
@@ -108,18 +108,18 @@ def test_the_press_files_guesses_do_for_a_first_run(plain):
     assert inside.mean() >= 0.9
 
 
-def test_closed_scans_are_valid(said):
-    closed = [e.valid for e in said if e.state is PressState.CLOSED]
+def test_closed_scans_are_valid(estimates):
+    closed = [e.valid for e in estimates if e.state is PressState.CLOSED]
     assert np.mean(closed) >= 0.95
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0])
 def test_the_band_does_not_jump_while_closing_and_opening_are_being_found(rate):
     ((run, truth),) = make_campaign(11, 1, None, replace(PLAN, rate_hz=rate))
-    said = replay(run)
-    half = np.array([(e.core_high_C - e.core_low_C) / 2 for e in said])
-    core = np.array([e.core_C for e in said])
-    assert "sudden change" not in {e.suspected for e in said}
+    estimates = replay(run)
+    half = np.array([(e.core_high_C - e.core_low_C) / 2 for e in estimates])
+    core = np.array([e.core_C for e in estimates])
+    assert "sudden change" not in {e.suspected for e in estimates}
     for moment in (truth.moments.closed_s, truth.moments.opened_s):
         near = (run.time_s > moment - 3.0) & (run.time_s < moment + 4.0)
         assert np.abs(np.diff(half[near])).max() < 1.0  # of 6 to 20 K before
@@ -128,32 +128,32 @@ def test_the_band_does_not_jump_while_closing_and_opening_are_being_found(rate):
         assert np.ptp(off) < 0.4
 
 
-def test_a_run_cut_short_gives_the_same_rows(plain, said):
+def test_a_run_cut_short_gives_the_same_rows(plain, estimates):
     run = plain[0][0]
     for rows in (25, len(run.time_s) // 2):
-        assert repr(replay(run, rows=rows)) == repr(said[:rows])  # NaN equals itself in print
+        assert repr(replay(run, rows=rows)) == repr(estimates[:rows])  # NaN equals itself in print
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0])
 def test_numbers_of_numpy_say_what_plain_ones_say(rate_hz):
     run = make_campaign(6, 1, None, Plan(rate_hz=rate_hz))[0][0]
     sensor = LiveSensor(PRESS, run.header, MODEL)
-    said = [
+    estimates = [
         sensor.update(t, {name: values[i] for name, values in run.columns.items()})
         for i, t in enumerate(run.time_s)
     ]
-    assert said == replay(run)
+    assert estimates == replay(run)
 
 
-def test_a_replay_gives_the_same_rows_again(plain, said):
-    assert repr(replay(plain[0][0])) == repr(said)
+def test_a_replay_gives_the_same_rows_again(plain, estimates):
+    assert repr(replay(plain[0][0])) == repr(estimates)
 
 
 @pytest.mark.parametrize("cause", ["vapour_convection", "edge_loss", "conductivity_temperature"])
 def test_a_hidden_cause_is_held_by_the_band(cause):
     ((run, truth),) = make_campaign(33, 1, cause, PLAN)
-    said = replay(run)
-    _, inside, width = compared(said, truth.core_C)
+    estimates = replay(run)
+    _, inside, width = compared(estimates, truth.core_C)
     assert inside.mean() >= 0.75  # of one run; campaigns hold 85 %, see the benchmark
     assert width.mean() <= 8.5
 
@@ -192,38 +192,38 @@ def test_a_diagnosed_cause_is_followed():
 
 def test_contact_lost_in_mid_press_does_not_deceive():
     ((run, truth),) = make_campaign(35, 1, "contact_lapse", PLAN)
-    said = replay(run)
-    error, inside, width = compared(said, truth.core_C)
+    estimates = replay(run)
+    error, inside, width = compared(estimates, truth.core_C)
     assert rms(error) < 1.5
     assert inside.mean() >= 0.85
     assert width.mean() <= 8.0
-    assert np.mean([e.valid for e in said if e.state is PressState.CLOSED]) >= 0.95
+    assert np.mean([e.valid for e in estimates if e.state is PressState.CLOSED]) >= 0.95
 
 
 def test_the_core_does_not_move_at_once_when_the_contact_does():
     ((run, _),) = make_campaign(35, 1, "contact_lapse", PLAN)
-    said = replay(run)
-    first = next(i for i, e in enumerate(said) if e.suspected == "sudden change")
-    before, after = ((e.core_high_C - e.core_low_C) / 2 for e in (said[first - 1], said[first]))
+    estimates = replay(run)
+    first = next(i for i, e in enumerate(estimates) if e.suspected == "sudden change")
+    before, after = ((e.core_high_C - e.core_low_C) / 2 for e in (estimates[first - 1], estimates[first]))
     assert after < before + 0.5
 
 
 def test_platens_alone_give_the_core_within_two_kelvin():
     ((run, truth),) = make_campaign(22, 1, None, replace(PLAN, closed_column=True))
     panel = [c for c in run.columns if c.startswith(("top_", "bottom_"))]
-    said = replay(run, without=panel)
-    error, inside, _ = compared(said, truth.core_C)
+    estimates = replay(run, without=panel)
+    error, inside, _ = compared(estimates, truth.core_C)
     assert rms(error) < 2.0
     assert inside.mean() >= 0.85
-    assert {e.state for e in said} == {PressState.OPEN, PressState.CLOSED}
+    assert {e.state for e in estimates} == {PressState.OPEN, PressState.CLOSED}
 
 
 def test_without_panel_channels_and_switch_the_press_state_is_unknown(plain):
     run = plain[0][0]
     panel = [c for c in run.columns if c.startswith(("top_", "bottom_"))]
-    said = replay(run, without=panel, rows=40)
-    assert {(e.valid, e.reason) for e in said[10:]} == {(False, InvalidReason.PRESS_STATE_UNKNOWN)}
-    assert all(math.isnan(e.core_C) for e in said[10:])
+    estimates = replay(run, without=panel, rows=40)
+    assert {(e.valid, e.reason) for e in estimates[10:]} == {(False, InvalidReason.PRESS_STATE_UNKNOWN)}
+    assert all(math.isnan(e.core_C) for e in estimates[10:])
 
 
 def test_some_channels_scattered_gaps_and_a_dead_sensor_do_no_harm(plain):
@@ -251,10 +251,10 @@ def test_what_sensors_read_before_the_panel_lies_in_the_press_does_not_count(pla
             name = f"{face}_{number}"
             warm = height * np.exp(-(((run.time_s - at_s) / 2.0) ** 2))
             columns[name] = np.where(before, columns[name] + warm, columns[name])
-    said = replay(replace(run, columns=columns))
-    there = [i for i, e in enumerate(said) if e.state is not PressState.IDLE]
-    error = np.array([said[i].core_C - truth.core_C[i] for i in there])
-    half = np.array([(said[i].core_high_C - said[i].core_low_C) / 2 for i in there])
+    estimates = replay(replace(run, columns=columns))
+    there = [i for i, e in enumerate(estimates) if e.state is not PressState.IDLE]
+    error = np.array([estimates[i].core_C - truth.core_C[i] for i in there])
+    half = np.array([(estimates[i].core_high_C - estimates[i].core_low_C) / 2 for i in there])
     assert (np.abs(error) < half).mean() >= 0.9
     assert np.abs(error[:20]).max() < 0.5
 
@@ -263,9 +263,9 @@ def test_missing_platens_are_bridged_for_ten_seconds_and_no_longer(plain):
     run = plain[0][0]
     late = run.time_s > 30.0
     columns = dict(run.columns) | {"platen_top": np.where(late, np.nan, run.columns["platen_top"])}
-    said = replay(replace(run, columns=columns), rows=100)
-    bridged = [e for e in said if 30.0 < e.time_s < 39.5]
-    gone = [e for e in said if e.time_s > 40.5]
+    estimates = replay(replace(run, columns=columns), rows=100)
+    bridged = [e for e in estimates if 30.0 < e.time_s < 39.5]
+    gone = [e for e in estimates if e.time_s > 40.5]
     assert all(e.valid for e in bridged)
     assert {(e.valid, e.reason) for e in gone} == {(False, InvalidReason.PLATEN_READING_MISSING)}
 
@@ -275,9 +275,9 @@ def test_the_loss_of_platens_that_come_in_turns_is_noticed_too(plain):
     odd, late = np.arange(len(run.time_s)) % 2 == 1, run.time_s > 30.0
     turns = {"platen_top": ~odd & ~late, "platen_bottom": odd & ~late}
     columns = dict(run.columns) | {n: np.where(heard, run.columns[n], np.nan) for n, heard in turns.items()}
-    said = replay(replace(run, columns=columns), rows=90)
-    assert all(e.valid for e in said if 30.0 < e.time_s < 39.0)
-    assert {(e.valid, e.reason) for e in said if e.time_s > 40.5} == {
+    estimates = replay(replace(run, columns=columns), rows=90)
+    assert all(e.valid for e in estimates if 30.0 < e.time_s < 39.0)
+    assert {(e.valid, e.reason) for e in estimates if e.time_s > 40.5} == {
         (False, InvalidReason.PLATEN_READING_MISSING)
     }
 
@@ -289,18 +289,18 @@ def test_a_slow_logger_is_enough(plain):
     assert inside.mean() >= 0.9
 
 
-def test_a_buried_thermocouple_is_not_used(plain, said):
+def test_a_buried_thermocouple_is_not_used(plain, estimates):
     run = plain[0][0]
     spiked = replace(run, columns=dict(run.columns) | {"core_1": np.full(len(run.time_s), 150.0)})
-    assert repr(replay(spiked)) == repr(said)
+    assert repr(replay(spiked)) == repr(estimates)
 
 
 @pytest.mark.parametrize("effect", BUILT_IN, ids=lambda e: e.name)
 def test_every_effect_may_stand_in_the_model(plain, effect):
     table = {p.name: FittedValue(p.typical, 0.1 * abs(p.typical)) for p in effect.parameters}
-    said = replay(plain[0][0], replace(MODEL, effects=((effect.name, table),)), rows=80)
-    assert all(math.isfinite(e.core_C) for e in said if e.valid)
-    assert np.mean([e.valid for e in said]) > 0.5
+    estimates = replay(plain[0][0], replace(MODEL, effects=((effect.name, table),)), rows=80)
+    assert all(math.isfinite(e.core_C) for e in estimates if e.valid)
+    assert np.mean([e.valid for e in estimates]) > 0.5
 
 
 def test_a_contact_that_grows_after_closing_does_so_in_the_filters_as_its_law_says(plain):
@@ -334,11 +334,11 @@ def test_filters_that_break_down_begin_anew(plain, monkeypatch):
         return extend(self, rows, limit, **kind)
 
     monkeypatch.setattr(Pass, "extend", breaking)
-    said = replay(run, rows=120)
-    lost = [e for e in said if e.reason is InvalidReason.CALCULATION_FAILED]
+    estimates = replay(run, rows=120)
+    lost = [e for e in estimates if e.reason is InvalidReason.CALCULATION_FAILED]
     assert 1 <= len(lost) < 8
     assert not any(e.valid for e in lost)
-    assert all(e.valid for e in said[-30:])
+    assert all(e.valid for e in estimates[-30:])
 
 
 def test_filters_are_linearised_only_where_effects_are_physical():
@@ -378,9 +378,9 @@ def test_a_rig_without_states_is_followed():
     }
     time_s = np.arange(0.0, 4000.0, 4.0)
     run = Run("rig", header, time_s, {"hot": np.full(len(time_s), 80.0), "cold": np.full(len(time_s), np.nan)})
-    said = replay(run, None, press=press)
-    assert said[-1].valid
-    assert said[-1].core_C == pytest.approx(80.0, abs=0.5)  # insulated above: in the end as hot as below
+    estimates = replay(run, None, press=press)
+    assert estimates[-1].valid
+    assert estimates[-1].core_C == pytest.approx(80.0, abs=0.5)  # insulated above: in the end as hot as below
 
 
 @pytest.fixture(scope="module")
@@ -400,8 +400,8 @@ def blind():
             n: {p.name: FittedValue(p.typical, 1e-4 * abs(p.typical)) for p in own} for n, own in tables.items()
         }
         model = replace(MODEL, coefficients=sure, effects=tuple(typical.items()))
-        said = np.array([e.core_C for e in replay(run, model, without=faces)])
-        return said, simulate_run(run, PRESS, model.model(PRESS), model.values).core
+        estimates = np.array([e.core_C for e in replay(run, model, without=faces)])
+        return estimates, simulate_run(run, PRESS, model.model(PRESS), model.values).core
 
     return cores
 
@@ -409,8 +409,8 @@ def blind():
 @pytest.mark.parametrize("effect", BUILT_IN, ids=lambda e: e.name)
 def test_what_an_effect_does_to_the_core_is_the_same_live_and_solved(blind, effect):
     """Two programs march the same model: scan by scan with what a scan knows, and over the whole run at once."""
-    (said, solved), (said_plain, solved_plain) = blind(effect.name), blind()
-    moved, solved_moved = said - said_plain, solved - solved_plain
+    (estimates, solved), (estimates_plain, solved_plain) = blind(effect.name), blind()
+    moved, solved_moved = estimates - estimates_plain, solved - solved_plain
     known = np.isfinite(moved)
     assert known.mean() > 0.8
     assert np.abs(moved - solved_moved)[known].max() <= 0.1 + 0.1 * np.abs(solved_moved).max()

@@ -42,16 +42,16 @@ def followed(run, model=MODEL):
     sensor = LiveSensor(PRESS, run.header, model)
     names = [c for c in run.columns if not c.startswith("core")]
     table = np.stack([run.columns[c] for c in names], axis=1).tolist()
-    said = [
+    estimates = [
         sensor.update(t, dict(zip(names, row, strict=True)))
         for t, row in zip(run.time_s.tolist(), table, strict=True)
     ]
-    return sensor, said
+    return sensor, estimates
 
 
-def beyond(said, core):
+def beyond(estimates, core):
     """Return by how much the truth lies outside the band of each valid scan. [K]"""
-    rows = [max(e.core_low_C - c, c - e.core_high_C, 0.0) for e, c in zip(said, core, strict=True) if e.valid]
+    rows = [max(e.core_low_C - c, c - e.core_high_C, 0.0) for e, c in zip(estimates, core, strict=True) if e.valid]
     return np.array(rows)
 
 
@@ -115,8 +115,8 @@ WRONG = {
 def test_a_wrong_header_clock_or_face_is_doubted_or_the_band_is_wide_enough(pressing, wrong):
     """The first version told 2 to 39 K beyond its band as valid in each of these (thickness: 17 to 37 K)."""
     run, truth = pressing
-    _, said = followed(wrong(run, truth))
-    outside = beyond(said, truth.core_C)
+    _, estimates = followed(wrong(run, truth))
+    outside = beyond(estimates, truth.core_C)
     allowed = 6.0 if wrong in (WRONG["a quarter too thin"], WRONG["a quarter too thick"]) else 2.0
     assert outside.max(initial=0.0) <= allowed
 
@@ -124,8 +124,8 @@ def test_a_wrong_header_clock_or_face_is_doubted_or_the_band_is_wide_enough(pres
 @pytest.mark.parametrize("seed", [600, 601, 602])
 def test_panels_that_scatter_by_five_percent_are_held(seed):
     ((run, truth),) = make_campaign(seed, 1, None, replace(PLAN, panel_spread=0.05))
-    _, said = followed(run, KNOWING)
-    outside = beyond(said, truth.core_C)
+    _, estimates = followed(run, KNOWING)
+    outside = beyond(estimates, truth.core_C)
     assert (outside == 0.0).mean() >= 0.8
     assert outside.max() <= 2.0
 
@@ -233,8 +233,8 @@ def test_the_band_of_stated_constants_does_not_depend_on_what_panels_scatter_by(
     half = []
     for spread in (0.03, 0.3):
         scatter = {key: Scatter(spread, 9, spread) for key in given if not key.endswith(".sd")}
-        sensor, said = followed(replace(short, header=run.header | given), replace(KNOWING, scatter=scatter))
-        half.append(0.5 * (said[-1].core_high_C - said[-1].core_low_C))
+        sensor, estimates = followed(replace(short, header=run.header | given), replace(KNOWING, scatter=scatter))
+        half.append(0.5 * (estimates[-1].core_high_C - estimates[-1].core_low_C))
     assert half[0] == pytest.approx(half[1], rel=1e-6)
     assert sensor.band_from["effects"] < 0.2 * sensor.band_from["constants"]  # of causes that are absent
 
@@ -244,8 +244,8 @@ def test_a_start_that_no_face_shows_is_known_as_its_sensor_or_as_the_header_says
     half = {}
     for sd in (None, 0.2):
         header = WOOD if sd is None else WOOD | {"panel.initial_temperature_C.sd": sd}
-        said = LiveSensor(SLICE, header).update(0.0, {"hot": 20.0})
-        half[sd] = 0.5 * (said.core_high_C - said.core_low_C)
+        estimate = LiveSensor(SLICE, header).update(0.0, {"hot": 20.0})
+        half[sd] = 0.5 * (estimate.core_high_C - estimate.core_low_C)
     assert half[None] == pytest.approx(1.96 * np.sqrt(0.75**2 + 0.3**2 + 0.1**2), rel=0.02)
     assert half[0.2] == pytest.approx(1.96 * np.hypot(0.2, 0.1), rel=0.02)
 
@@ -334,12 +334,12 @@ def test_the_band_says_what_it_comes_from_and_constants_that_were_measured_weigh
     short = run.at_rows(slice(closed))
     shares, halves = [], []
     for header in (run.header, run.header | stated):
-        sensor, said = followed(replace(short, header=header))
+        sensor, estimates = followed(replace(short, header=header))
         found = sensor.band_from
         assert set(found) == set(KINDS)
         assert sum(found.values()) == pytest.approx(1.0)
         shares.append(found["constants"])
-        halves.append(said[-1].core_high_C - said[-1].core_low_C)
+        halves.append(estimates[-1].core_high_C - estimates[-1].core_low_C)
     assert shares[1] < 0.2 < 0.5 < shares[0]
     assert halves[1] < 0.6 * halves[0]  # the rest is steam of a size that nobody knows
 
@@ -397,9 +397,9 @@ def test_no_core_is_told_beyond_what_has_touched_the_panel(pressing):
     possible.note((200.0, 205.0))
     assert possible.contradicted(200.0) is None
     for core in (-206.0, 260.0):
-        said = possible.contradicted(core)
-        assert said is not None
-        assert said.reason is InvalidReason.IMPOSSIBLE_CORE
+        invalid = possible.contradicted(core)
+        assert invalid is not None
+        assert invalid.reason is InvalidReason.IMPOSSIBLE_CORE
 
 
 def test_under_a_flux_nothing_gets_hotter_than_its_own_radiation_allows():
@@ -466,31 +466,31 @@ def bar_at_rest(loss):
         ModelFile("test", "bar", {}, missing=MissingCauses(8, 0.9, 0.0, {})),
     )
     for t in range(0, 1200, 2):
-        said = sensor.update(float(t), {"low": 80.0, "high": 120.0})
+        estimate = sensor.update(float(t), {"low": 80.0, "high": 120.0})
     m = np.sqrt(LOSS * 2.0 * np.sqrt(np.pi / 2.0e-4) / 12.0)
-    return said, AMBIENT + 80.0 / np.cosh(m * 0.02)
+    return estimate, AMBIENT + 80.0 / np.cosh(m * 0.02)
 
 
 def test_bare_sides_that_may_lose_heat_widen_the_band_by_what_they_lose():
-    said, truth = bar_at_rest(LOSS)
-    assert said.core_low_C < truth < said.core_high_C
+    estimates, truth = bar_at_rest(LOSS)
+    assert estimates.core_low_C < truth < estimates.core_high_C
     lost = 100.0 - truth
-    assert 1.96 * lost < said.core_high_C - said.core_C < 1.96 * 1.4 * lost
+    assert 1.96 * lost < estimates.core_high_C - estimates.core_C < 1.96 * 1.4 * lost
 
 
 def test_insulated_sides_lose_nothing():
-    said, truth = bar_at_rest(0.0)
-    assert said.core_high_C - said.core_C < 1.5  # what the ends' thermocouples may be off
-    assert not said.core_low_C < truth  # what bare sides would have lost
+    estimates, truth = bar_at_rest(0.0)
+    assert estimates.core_high_C - estimates.core_C < 1.5  # what the ends' thermocouples may be off
+    assert not estimates.core_low_C < truth  # what bare sides would have lost
 
 
 def test_the_first_pressing_of_a_press_holds_its_core_though_steam_carries_heat_that_nobody_knows_of():
     """1.8 times the usual size was taken for unlikely: 70 % of the scans in the band, by a prior of one size."""
     plan = Plan(rate_hz=2.0, closed_column=True, thickness_mm=19.0)
     ((run, truth),) = make_campaign(903, 1, "vapour_convection", plan)
-    _, said = followed(run, None)
+    _, estimates = followed(run, None)
     late = run.time_s > truth.moments.closed_s
-    rows = zip(said, truth.core_C, late, strict=True)
+    rows = zip(estimates, truth.core_C, late, strict=True)
     held = [e.core_low_C <= c <= e.core_high_C for e, c, counts in rows if counts and e.valid]
     assert len(held) > 0.5 * late.sum()
     assert np.mean(held) > 0.95

@@ -37,9 +37,9 @@ def follow(run, **wishes):
     sensor = LiveSensor(PRESS, header, MODEL)
     rows = []
     for i, t in enumerate(run.time_s.tolist()):
-        said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
-        rows.append((t, said.state, said, sensor.inside, sensor.forecast))
+        rows.append((t, estimate.state, estimate, sensor.inside, sensor.forecast))
     return rows
 
 
@@ -51,22 +51,22 @@ def followed(pressing):
 def test_the_target_is_reached_when_the_sensor_said_it_would_be(pressing, followed):
     run, truth = pressing
     reached = float(run.time_s[np.argmax(truth.core_C >= TARGET)])
-    told = [
+    foreseen = [
         (t, o) for t, state, _, _, o in followed if state is PressState.CLOSED and reached - 40 < t < reached - 5
     ]
-    assert len(told) > 30
-    assert max(abs(t + o.target_in_s - reached) for t, o in told) < 5.0  # steam may help: its size is open
-    assert all(o.target_earliest_s <= o.target_in_s <= o.target_latest_s for _, o in told)
-    assert np.mean([t + o.target_earliest_s <= reached <= t + o.target_latest_s for t, o in told]) > 0.9
+    assert len(foreseen) > 30
+    assert max(abs(t + o.target_in_s - reached) for t, o in foreseen) < 5.0  # steam may help: its size is open
+    assert all(o.target_earliest_s <= o.target_in_s <= o.target_latest_s for _, o in foreseen)
+    assert np.mean([t + o.target_earliest_s <= reached <= t + o.target_latest_s for t, o in foreseen]) > 0.9
 
 
 def test_the_peak_after_opening_is_foreseen_at_the_opening(pressing, followed):
     run, truth = pressing
-    told = next(o for t, _, _, _, o in followed if t > truth.moments.opened_s - 1.0)
+    foreseen = next(o for t, _, _, _, o in followed if t > truth.moments.opened_s - 1.0)
     later = truth.core_C[run.time_s > truth.moments.opened_s]
     assert later.max() > 60.0
-    assert told.peak_C > 60.0
-    assert told.peak_C == pytest.approx(later.max(), abs=4.0)
+    assert foreseen.peak_C > 60.0
+    assert foreseen.peak_C == pytest.approx(later.max(), abs=4.0)
 
 
 def test_opening_when_advised_lets_the_core_peak_at_the_target(pressing):
@@ -100,10 +100,14 @@ def test_the_heat_taken_up_is_that_of_the_profile(pressing, followed):
 
 
 def test_the_middle_of_the_profile_is_the_core_that_is_told(followed):
-    held = [(said.core_C, inside.profile_C[5]) for _, _, said, inside, _ in followed if inside and said.valid]
-    told, profile = np.array(held).T
-    assert len(told) > 90
-    assert np.abs(told - profile).max() < 0.3
+    held = [
+        (estimate.core_C, inside.profile_C[5])
+        for _, _, estimate, inside, _ in followed
+        if inside and estimate.valid
+    ]
+    core, profile = np.array(held).T
+    assert len(core) > 90
+    assert np.abs(core - profile).max() < 0.3
 
 
 def test_filters_count_inside_the_panel_by_their_shares(pressing):
@@ -150,11 +154,11 @@ def test_the_heat_taken_up_counts_a_heat_capacity_that_grows_with_temperature():
 
 def test_the_course_foreseen_meets_the_core_that_comes_and_is_as_old_as_its_look(pressing, followed):
     run, truth = pressing
-    t, told = next((t, o) for t, state, _, _, o in followed if state is PressState.CLOSED and t > 40.0)
-    ahead = np.array(told.course)
+    t, foreseen = next((t, o) for t, state, _, _, o in followed if state is PressState.CLOSED and t > 40.0)
+    ahead = np.array(foreseen.course)
     assert 2 <= len(ahead) <= 12
-    assert 0.0 <= told.forecast_age_s <= 2.0
-    at = t - told.forecast_age_s + ahead[:, 0]
+    assert 0.0 <= foreseen.forecast_age_s <= 2.0
+    at = t - foreseen.forecast_age_s + ahead[:, 0]
     there = at < truth.moments.opened_s
     core = np.interp(at[there], run.time_s, truth.core_C)
     assert there.sum() >= 3
@@ -192,6 +196,8 @@ def test_without_a_panel_in_the_press_no_channel_departs_from_its_neighbours(pre
         scattered[name][before] += 8.0 * (-1.0) ** np.arange(before.sum())
     sensor = LiveSensor(PRESS, run.header, MODEL)
     for i in np.flatnonzero(before).tolist():
-        said = sensor.update(float(run.time_s[i]), {name: float(values[i]) for name, values in scattered.items()})
-        assert said.state is PressState.IDLE
+        estimate = sensor.update(
+            float(run.time_s[i]), {name: float(values[i]) for name, values in scattered.items()}
+        )
+        assert estimate.state is PressState.IDLE
         assert sensor.left_out == {}

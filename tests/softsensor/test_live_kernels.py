@@ -144,7 +144,7 @@ def test_quantiles_of_a_mixture_leave_their_share_below():
 def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
     log, means, variances = np.log([7.0, 2.0, 1.0]), np.array([0.0, 5.0, -3.0]), np.array([0.3, 1.0, 4.0])
     out = [np.append(column, [np.nan, np.nan]) for column in (log, means, variances)]
-    told, sd, low, high = pool(Components(*out), Change(0.25, *core, 0.4, 2.0))
+    mean, sd, low, high = pool(Components(*out), Change(0.25, *core, 0.4, 2.0))
     rng = np.random.default_rng(5)
     usual = rng.choice(3, 1_000_000, p=[0.7, 0.2, 0.1])
     draws = rng.normal(means[usual], np.sqrt(variances[usual]))
@@ -153,8 +153,8 @@ def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
     faces = rng.normal(centre, np.sqrt(variance + np.where(doubted, 4.0, 0.0)))
     draws = np.where(rng.random(len(draws)) < 0.25, faces, draws)
     assert out[0] == pytest.approx([0.525, 0.15, 0.075, 0.15, 0.1])
-    assert told == pytest.approx(draws.mean(), abs=0.01)
-    assert sd == pytest.approx(np.sqrt(np.mean((draws - told) ** 2)), rel=0.01)
+    assert mean == pytest.approx(draws.mean(), abs=0.01)
+    assert sd == pytest.approx(np.sqrt(np.mean((draws - mean) ** 2)), rel=0.01)
     assert (low, high) == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.05)
 
 

@@ -105,12 +105,14 @@ def pressing():
 def followed(run, truth, panels):
     """Return by how much the truth lies beyond each valid band [K], all estimates, and the last mixture."""
     sensor = LiveSensor(PRESS, run.header, replace(HELD, panels=panels))
-    said = [
+    estimates = [
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         for i, t in enumerate(run.time_s.tolist())
     ]
-    beyond = [max(e.core_low_C - c, c - e.core_high_C) for e, c in zip(said, truth.core_C, strict=True) if e.valid]
-    return np.array(beyond), said, sensor.mixture
+    beyond = [
+        max(e.core_low_C - c, c - e.core_high_C) for e, c in zip(estimates, truth.core_C, strict=True) if e.valid
+    ]
+    return np.array(beyond), estimates, sensor.mixture
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.5])
@@ -119,10 +121,10 @@ def test_a_band_holds_the_core_of_the_panel_that_lies_there_though_the_header_sa
     lie = with_thickness(run, 16.0 * factor)
     sure_and_wrong, _, _ = followed(lie, truth, ())
     assert sure_and_wrong.max() > 10.0  # as a model that does not know which panels there were has it
-    beyond, said, mixture = followed(lie, truth, KNOWN)
+    beyond, estimates, mixture = followed(lie, truth, KNOWN)
     assert beyond.max() < 0.5
     assert len(beyond) > 0.5 * len(run.time_s)
-    assert {e.reason for e in said if not e.valid} <= {InvalidReason.ANOTHER_PANEL}
+    assert {e.reason for e in estimates if not e.valid} <= {InvalidReason.ANOTHER_PANEL}
     assert sum(panel.chance for panel in mixture.panels) == pytest.approx(1.0)
     assert mixture.components.weight.sum() == pytest.approx(1.0)
     assert all(panel.low_C >= mixture.low_C - 40.0 for panel in mixture.panels)
@@ -132,8 +134,8 @@ def test_a_header_that_says_a_known_product_changes_nothing(pressing):
     run, truth = pressing
     _, before, _ = followed(run, truth, ())
     _, after, mixture = followed(run, truth, KNOWN)
-    told = [[(e.core_C, e.core_low_C, e.core_high_C, e.valid) for e in said] for said in (before, after)]
-    assert np.array_equal(*told, equal_nan=True)
+    rows = [[(e.core_C, e.core_low_C, e.core_high_C, e.valid) for e in estimates] for estimates in (before, after)]
+    assert np.array_equal(*rows, equal_nan=True)
     assert len(mixture.panels) == 1
 
 
@@ -158,10 +160,10 @@ BOARD = {"panel.material": "MDF", KEY: 16.0, "panel.initial_temperature_C": 21.0
 @pytest.mark.parametrize(("density", "beyond"), [(740.0 * 1.45, 0.0244489), (740.0 * 1.5, 0.0124193)])
 def test_an_odd_density_is_mistaken_as_often_as_people_are_beside_how_rare_such_a_board_is(density, beyond):
     """Of a normal law 2.4 and 1.2 % lie beyond 2.25 and 2.5 deviations to either side."""
-    chance, told = mistaken_constants({**BOARD, DENSITY: density})
+    chance, listed = mistaken_constants({**BOARD, DENSITY: density})
     right = (1.0 - ENTRY_ERROR) * beyond
     assert chance == pytest.approx(ENTRY_ERROR / (ENTRY_ERROR + right), rel=1e-4)
-    assert told == {DENSITY: 740.0, f"{DENSITY}.sd": 148.0}
+    assert listed == {DENSITY: 740.0, f"{DENSITY}.sd": 148.0}
 
 
 def test_a_header_s_odd_number_is_never_held_less_likely_than_its_least():
@@ -213,7 +215,7 @@ def test_a_density_half_as_high_again_leaves_the_core_within_its_band(seed):
     """Until 2026-11-25 up to 1.4 K beyond it, in four scans of ten."""
     run, truth = make_campaign(seed, 1, None, PLAN)[0]
     lie = replace(run, header={**run.header, DENSITY: 1.5 * run.header[DENSITY]})
-    beyond, said, _ = followed(lie, truth, KNOWN)
+    beyond, estimates, _ = followed(lie, truth, KNOWN)
     assert beyond.max() < 0.2
     assert len(beyond) > 0.9 * len(run.time_s)
-    assert {e.reason for e in said if not e.valid} <= {InvalidReason.BAND_TOO_WIDE}
+    assert {e.reason for e in estimates if not e.valid} <= {InvalidReason.BAND_TOO_WIDE}

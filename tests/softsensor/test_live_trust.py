@@ -65,9 +65,9 @@ def held_from(run, at_s, until_s=np.inf):
     return lambda values: np.where(still, values[max(last, 0)], values)
 
 
-def told_wrong(said, core):
+def told_wrong(estimates, core):
     """Return the share of valid rows whose band misses the truth."""
-    rows = [not e.core_low_C <= c <= e.core_high_C for e, c in zip(said, core, strict=True) if e.valid]
+    rows = [not e.core_low_C <= c <= e.core_high_C for e, c in zip(estimates, core, strict=True) if e.valid]
     return float(np.mean(rows)) if rows else 0.0
 
 
@@ -103,33 +103,33 @@ def test_a_recorder_that_begins_in_the_middle_of_a_pressing_gives_no_core_that_i
         for row in rows:
             values = {name: float(column[row]) for name, column in run.columns.items()}
             try:
-                said = sensor.update(float(run.time_s[row] - run.time_s[rows[0]]), values)
+                estimate = sensor.update(float(run.time_s[row] - run.time_s[rows[0]]), values)
             except InputError as refused:
                 assert "panel.initial_temperature_C" in str(refused)  # noqa: PT017 - told, and not guessed
                 break
-            seen, believed = seen + 1, believed + said.valid
-            if said.valid:
-                assert said.core_low_C - 1.0 <= truth.core_C[row] <= said.core_high_C + 1.0
+            seen, believed = seen + 1, believed + estimate.valid
+            if estimate.valid:
+                assert estimate.core_low_C - 1.0 <= truth.core_C[row] <= estimate.core_high_C + 1.0
     assert 0.2 * seen < believed
 
 
 def test_platens_that_come_a_few_scans_late_are_waited_for(pressing):
     run, truth = pressing
     late = run.time_s < 3.0
-    said = replay(with_columns(run, "platen_top", lambda v: np.where(late, np.nan, v)))
-    assert {(e.valid, e.reason) for e in said[: int(late.sum())]} == {
+    estimates = replay(with_columns(run, "platen_top", lambda v: np.where(late, np.nan, v)))
+    assert {(e.valid, e.reason) for e in estimates[: int(late.sum())]} == {
         (False, InvalidReason.PLATEN_READING_MISSING)
     }
-    assert np.mean([e.valid for e in said[int(late.sum()) :]]) > 0.95
-    assert told_wrong(said, truth.core_C) < 0.1
+    assert np.mean([e.valid for e in estimates[int(late.sum()) :]]) > 0.95
+    assert told_wrong(estimates, truth.core_C) < 0.1
 
 
 def test_platens_that_come_when_the_panel_has_long_lain_there_leave_the_core_unknown(pressing):
     run, truth = pressing
     late = run.time_s < truth.moments.closed_s + 5.0
-    said = replay(with_columns(run, "platen", lambda v: np.where(late, np.nan, v)))
-    assert not any(e.valid for e in said)
-    assert said[-1].reason is InvalidReason.PLATENS_MISSING_AT_INSERTION
+    estimates = replay(with_columns(run, "platen", lambda v: np.where(late, np.nan, v)))
+    assert not any(e.valid for e in estimates)
+    assert estimates[-1].reason is InvalidReason.PLATENS_MISSING_AT_INSERTION
 
 
 @pytest.mark.parametrize("wire", [True, False])
@@ -138,16 +138,16 @@ def test_a_run_that_begins_in_mid_press_is_not_answered(pressing, wire, after_s)
     run, truth = pressing
     kept = run.time_s > truth.moments.closed_s + after_s
     columns = {n: v[kept] for n, v in run.columns.items() if wire or n != "closed"}
-    said = replay(replace(run, time_s=run.time_s[kept], columns=columns))
-    assert told_wrong(said, truth.core_C[kept]) == 0.0
-    assert np.mean([e.valid for e in said]) < 0.1
+    estimates = replay(replace(run, time_s=run.time_s[kept], columns=columns))
+    assert told_wrong(estimates, truth.core_C[kept]) == 0.0
+    assert np.mean([e.valid for e in estimates]) < 0.1
 
 
 def test_a_start_temperature_that_all_sensors_contradict_is_not_believed(pressing):
     run, _ = pressing
     wrong = run.header["panel.initial_temperature_C"] + 10.0
-    said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
-    closed = [e for e in said if e.state is PressState.CLOSED]
+    estimates = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
+    closed = [e for e in estimates if e.state is PressState.CLOSED]
     assert {e.valid for e in closed} == {False}
     assert closed[0].reason is InvalidReason.START_TEMPERATURE_CONTRADICTED
     assert closed[0].invalid.arguments["header_C"] == wrong
@@ -157,11 +157,11 @@ def test_a_start_temperature_that_all_sensors_contradict_is_not_believed(pressin
 def test_a_start_temperature_that_is_a_little_off_is_put_right_by_the_sensors(pressing, off):
     run, truth = pressing
     wrong = run.header["panel.initial_temperature_C"] + off
-    said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
-    there = [i for i, e in enumerate(said) if e.valid and e.state is not PressState.IDLE]
+    estimates = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
+    there = [i for i, e in enumerate(estimates) if e.valid and e.state is not PressState.IDLE]
     assert len(there) > 100
-    assert max(abs(said[i].core_C - truth.core_C[i]) for i in there) < 1.0
-    assert np.mean([said[i].core_low_C <= truth.core_C[i] <= said[i].core_high_C for i in there]) > 0.95
+    assert max(abs(estimates[i].core_C - truth.core_C[i]) for i in there) < 1.0
+    assert np.mean([estimates[i].core_low_C <= truth.core_C[i] <= estimates[i].core_high_C for i in there]) > 0.95
 
 
 def test_a_lower_face_that_warms_already_is_no_contradiction():
@@ -176,18 +176,18 @@ def test_a_lower_face_that_warms_already_is_no_contradiction():
 @pytest.mark.parametrize("face", ["top_", "bottom_", ("top_", "bottom_")])
 def test_a_face_that_repeats_itself_while_the_panel_warms_does_not_count(pressing, face):
     run, truth = pressing
-    said = replay(with_columns(run, face, held_from(run, 2.0)))
-    assert told_wrong(said, truth.core_C) < 0.05
-    assert np.mean([e.valid for e in said]) > 0.9
+    estimates = replay(with_columns(run, face, held_from(run, 2.0)))
+    assert told_wrong(estimates, truth.core_C) < 0.05
+    assert np.mean([e.valid for e in estimates]) > 0.9
 
 
 def test_a_logger_that_stands_still_over_the_closing_is_a_gap(pressing):
     run, truth = pressing
     begun = truth.moments.closed_s - 1.0
     frozen = held_from(run, begun, begun + 20.0)
-    said = replay(with_columns(run, ("top_", "bottom_", "platen"), frozen))
-    assert told_wrong(said, truth.core_C) < 0.05
-    silent = [e for e in said if begun + 15.0 < e.time_s < begun + 19.0]
+    estimates = replay(with_columns(run, ("top_", "bottom_", "platen"), frozen))
+    assert told_wrong(estimates, truth.core_C) < 0.05
+    silent = [e for e in estimates if begun + 15.0 < e.time_s < begun + 19.0]
     assert {(e.valid, e.reason) for e in silent} == {(False, InvalidReason.PLATEN_READING_MISSING)}
 
 
@@ -197,8 +197,8 @@ def test_a_switch_that_opens_for_a_moment_with_no_sensor_on_the_panel_leaves_the
     slip = (run.time_s > middle) & (run.time_s < middle + 1.5)
     columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
     columns["closed"] = np.where(slip, 0.0, columns["closed"])
-    said = replay(replace(run, columns=columns))
-    assert told_wrong(said, truth.core_C) < 0.15
+    estimates = replay(replace(run, columns=columns))
+    assert told_wrong(estimates, truth.core_C) < 0.15
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), [(2.0, 2.0), (3.0, 0.4), (0.5, 4.0), (10.0, 10.0), (2.0, 18.0)])
@@ -207,10 +207,10 @@ def test_a_gap_in_the_log_around_the_closing_does_not_deceive(before_s, after_s)
     since = run.time_s - truth.moments.closed_s
     kept = (since < -before_s) | (since > after_s)
     columns = {n: v[kept] for n, v in run.columns.items()}
-    said = replay(replace(run, time_s=run.time_s[kept], columns=columns), HELD)
-    assert told_wrong(said, truth.core_C[kept]) < 0.1
+    estimates = replay(replace(run, time_s=run.time_s[kept], columns=columns), HELD)
+    assert told_wrong(estimates, truth.core_C[kept]) < 0.1
     if before_s + after_s < 6.0:
-        assert np.mean([e.valid for e in said]) > 0.9
+        assert np.mean([e.valid for e in estimates]) > 0.9
 
 
 def test_a_closing_that_went_unheard_leaves_the_core_unknown(pressing):
@@ -218,9 +218,9 @@ def test_a_closing_that_went_unheard_leaves_the_core_unknown(pressing):
     since = run.time_s - truth.moments.closed_s
     unheard = (since > -2.0) & (since < 15.0)
     deaf = with_columns(run, ("top_", "bottom_"), lambda v: np.where(unheard, np.nan, v))
-    said = replay(replace(deaf, columns={n: v for n, v in deaf.columns.items() if n != "closed"}))
-    assert told_wrong(said, truth.core_C) == 0.0
-    assert not any(e.valid for e in said if e.time_s > truth.moments.closed_s + 16.0)
+    estimates = replay(replace(deaf, columns={n: v for n, v in deaf.columns.items() if n != "closed"}))
+    assert told_wrong(estimates, truth.core_C) == 0.0
+    assert not any(e.valid for e in estimates if e.time_s > truth.moments.closed_s + 16.0)
 
 
 # --- a panel nobody saw coming -----------------------------------------------------------------------
@@ -341,10 +341,10 @@ def test_sensors_that_join_late_or_never_leave_the_core_known(number, chosen, si
     plan = replace(PLAN, closed_column=False, start_before_s=10.0, open_before_s=(8.0, 28.0))
     run, truth = make_campaign(22, 3, None, plan)[number]
     late = fallen_silent(run, chosen, getattr(truth.moments, since) + after_s)
-    said = replay(replace(late, columns={n: v for n, v in late.columns.items() if np.isfinite(v).any()}))
-    closed = [e for e in said if e.state is PressState.CLOSED]
+    estimates = replay(replace(late, columns={n: v for n, v in late.columns.items() if np.isfinite(v).any()}))
+    closed = [e for e in estimates if e.state is PressState.CLOSED]
     assert np.mean([e.valid for e in closed]) > 0.95
-    assert told_wrong(said, truth.core_C) < 0.1
+    assert told_wrong(estimates, truth.core_C) < 0.1
 
 
 @pytest.mark.parametrize("off", [-20.0, -9.0, -3.0, 3.0, 9.0, 20.0])
@@ -354,17 +354,20 @@ def test_a_start_temperature_that_sensors_plugged_in_with_the_panel_contradict_i
     ((run, truth),) = make_campaign(23, 1, None, plan)
     plugged = fallen_silent(run, ("top_", "bottom_"), truth.moments.inserted_s + after_s)
     wrong = dict(run.header) | {"panel.initial_temperature_C": run.header["panel.initial_temperature_C"] + off}
-    said = replay(replace(plugged, header=wrong))
-    there = [i for i, e in enumerate(said) if e.state in (PressState.OPEN, PressState.CLOSED) and e.valid]
-    assert np.mean([not said[i].core_low_C <= truth.core_C[i] <= said[i].core_high_C for i in there] or [0]) < 0.1
+    estimates = replay(replace(plugged, header=wrong))
+    there = [i for i, e in enumerate(estimates) if e.state in (PressState.OPEN, PressState.CLOSED) and e.valid]
+    assert (
+        np.mean([not estimates[i].core_low_C <= truth.core_C[i] <= estimates[i].core_high_C for i in there] or [0])
+        < 0.1
+    )
     if abs(off) == 3.0:
         assert len(there) > 100
 
 
 def test_an_idle_press_whose_lower_face_is_unheard_is_not_said_to_be_empty(pressing):
     run, truth = pressing
-    said = replay(replace(run, columns={n: v for n, v in run.columns.items() if not n.startswith("bottom_")}))
-    idle = [e for e in said if e.state is PressState.IDLE and 3.5 < e.time_s < truth.moments.closed_s]
+    estimates = replay(replace(run, columns={n: v for n, v in run.columns.items() if not n.startswith("bottom_")}))
+    idle = [e for e in estimates if e.state is PressState.IDLE and 3.5 < e.time_s < truth.moments.closed_s]
     assert idle
     assert all(not e.valid and e.reason is InvalidReason.LOWER_FACE_SILENT for e in idle)
 
@@ -372,18 +375,18 @@ def test_an_idle_press_whose_lower_face_is_unheard_is_not_said_to_be_empty(press
 def test_a_press_open_for_long_with_no_sensor_heard_may_hold_another_panel(pressing):
     run, truth = pressing
     columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
-    said = replay(replace(run, columns=columns))
+    estimates = replay(replace(run, columns=columns))
     opened = truth.moments.opened_s
-    assert any(e.valid for e in said if opened + 2.0 < e.time_s < opened + 14.0)
-    assert not any(e.valid for e in said if e.time_s > opened + 17.0)
+    assert any(e.valid for e in estimates if opened + 2.0 < e.time_s < opened + 14.0)
+    assert not any(e.valid for e in estimates if e.time_s > opened + 17.0)
 
 
 def test_a_run_that_begins_with_the_panel_long_on_the_plate_is_not_answered():
     plan = replace(PLAN, closed_column=False, start_before_s=10.0, open_before_s=(20.0, 25.0))
     ((run, truth),) = make_campaign(24, 1, None, plan)
     late = run.time_s > truth.moments.inserted_s + 10.0
-    said = replay(run.at_rows(late))
-    closed = [e for e in said if e.state is PressState.CLOSED]
+    estimates = replay(run.at_rows(late))
+    closed = [e for e in estimates if e.state is PressState.CLOSED]
     assert closed
     assert not any(e.valid for e in closed)
 
@@ -391,8 +394,10 @@ def test_a_run_that_begins_with_the_panel_long_on_the_plate_is_not_answered():
 def test_a_start_temperature_read_from_a_pressed_panel_is_not_believed(pressing):
     run, truth = pressing
     columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
-    said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": 157.0}, columns=columns))
-    closed = [e for e in said if truth.moments.closed_s + 1.0 < e.time_s < truth.moments.opened_s]
+    estimates = replay(
+        replace(run, header=dict(run.header) | {"panel.initial_temperature_C": 157.0}, columns=columns)
+    )
+    closed = [e for e in estimates if truth.moments.closed_s + 1.0 < e.time_s < truth.moments.opened_s]
     assert len(closed) > 50
     assert {e.invalid.line for e in closed} == {"start temperature too high; header_C=157"}
 
@@ -403,9 +408,9 @@ def test_a_constant_far_from_that_of_its_material_is_doubted_whichever_way_it_is
     run, truth = pressing
     usual = {"density_kg_m3": run.header["panel.density_kg_m3"], "heat_capacity_J_kgK": 1550.0}[key]
     mistaken = replace(run, header={**run.header, f"panel.{key}": factor * usual})
-    assert [said.code for said in doubts(mistaken.header)] == ["header-far-from-table"]
-    said = replay(mistaken, HELD)
-    assert told_wrong(said, truth.core_C) <= 0.05
+    assert [estimates.code for estimates in doubts(mistaken.header)] == ["header-far-from-table"]
+    estimates = replay(mistaken, HELD)
+    assert told_wrong(estimates, truth.core_C) <= 0.05
 
 
 def without(run, begin, end):

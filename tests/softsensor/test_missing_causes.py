@@ -63,14 +63,14 @@ def test_a_cause_the_coefficients_have_absorbed_is_seen_over_the_runs(steaming):
 def test_the_score_is_what_a_fit_with_the_cause_would_gain(steaming):
     """The quadratic form against a second way: the cost where the cause is switched on at a small size."""
     fit = steaming.runs[0]
-    told = run_evidence(fit.problem, fit.minimum.evaluation)["vapour_convection"]
+    evidence = run_evidence(fit.problem, fit.minimum.evaluation)["vapour_convection"]
     effect = find_effect("vapour_convection")
     share = 0.1
     values = dict(fit.problem.values) | {"vapour_convection.W_m3K": share * 1.2e4}
     with_cause = replace(fit.problem, model=fit.problem.model.extended(effect), values=values)
     again = minimise(with_cause, fit.minimum.x, decrease=1e-4)
     gained = fit.minimum.evaluation.loss - again.evaluation.loss
-    assert gained == pytest.approx(share * told.score - 0.5 * share**2 * told.power, rel=0.25, abs=0.5)
+    assert gained == pytest.approx(share * evidence.score - 0.5 * share**2 * evidence.power, rel=0.25, abs=0.5)
 
 
 def test_a_model_file_carries_it_there_and_back(steaming):

@@ -135,8 +135,8 @@ def test_limits_of_an_effect_are_in_the_readers_language():
     wrong = {"name": "moisture_evaporation", "parameters": {"moisture_percent": {"value": 70.0, "sd": 1.0}}}
     with pytest.raises(InputError) as refused:
         parse_model(json.loads(model_text(MODEL)) | {"effects": [wrong]}, "model.json")
-    said = words(spoken(refused.value), "de")
-    assert said.endswith("liegt außerhalb der Grenzen 0 bis 30 % der Trockenmasse")
+    text = words(spoken(refused.value), "de")
+    assert text.endswith("liegt außerhalb der Grenzen 0 bis 30 % der Trockenmasse")
 
 
 def test_a_file_that_is_no_model_is_refused(tmp_path):
@@ -146,9 +146,9 @@ def test_a_file_that_is_no_model_is_refused(tmp_path):
     path.write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match="not a JSON model file"):
         read_model(path)
-    for text, said in ((9000 * "[", "more than 16 deep"), ('{"coefficients": ' + 5000 * "1", "300 digits")):
+    for text, expected in ((9000 * "[", "more than 16 deep"), ('{"coefficients": ' + 5000 * "1", "300 digits")):
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(InputError, match=f"not a JSON model file: .*{said}"):
+        with pytest.raises(InputError, match=f"not a JSON model file: .*{expected}"):
             read_model(path)
     path.write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="key 'coefficients' is missing"):

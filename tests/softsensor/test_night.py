@@ -178,8 +178,8 @@ def test_a_run_that_cannot_be_read_is_left_out_with_an_alarm_and_the_night_goes_
     assert outcome.verdict != nightly_judge.FAILED
     alarms = [e.message.code for e in store.journal(press="lab", level="alarm").items]
     assert alarms == ["run-not-judged" if judged else "run-not-fitted"]
-    (told,) = store.nights(press="lab", limit=1).items
-    assert [entry["run"] for entry in told.night["left_out"]] == [runs[1].name]
+    (night,) = store.nights(press="lab", limit=1).items
+    assert [entry["run"] for entry in night.night["left_out"]] == [runs[1].name]
     again = refit_press(store, "lab", PRESS, workers=1)
     assert (again.fitted, again.unread) == (0, ())
 
@@ -397,12 +397,12 @@ def test_the_row_of_a_night_says_what_was_new_left_out_named_and_kept(store, run
     fill(store, [without_platens(runs[0]), *runs[1:4]])
     refit_press(store, "lab", PRESS, workers=1)
     (night,) = store.nights(press="lab").items
-    told = night.night
-    assert (told["runs"], told["new"], told["fitted"], told["not_fitted"]) == (4, 4, 3, 1)
-    assert [entry["run"] for entry in told["left_out"]] == [runs[0].name]
-    assert told["promoted"] == told["version"] == store.active_model("lab").version
-    assert 0.0 < told["seconds"] <= (night.ended_utc - night.started_utc).total_seconds() + 1.0
-    assert told["memory_bytes"] is None or told["memory_bytes"] > 50e6
+    content = night.night
+    assert (content["runs"], content["new"], content["fitted"], content["not_fitted"]) == (4, 4, 3, 1)
+    assert [entry["run"] for entry in content["left_out"]] == [runs[0].name]
+    assert content["promoted"] == content["version"] == store.active_model("lab").version
+    assert 0.0 < content["seconds"] <= (night.ended_utc - night.started_utc).total_seconds() + 1.0
+    assert content["memory_bytes"] is None or content["memory_bytes"] > 50e6
     assert set(store.newest_nights()) == {"lab"}
 
 
@@ -586,8 +586,8 @@ def test_a_hidden_cause_is_named_and_the_better_model_promoted(store):
     fill(store, [run for run, _ in make_campaign(52, 12, "edge_loss", replace(PLAN, press_time_s=(40.0, 90.0)))])
     outcome = refit_press(store, "lab", PRESS)
     assert outcome.promoted
-    said = r"heat lost at the rim: .* on 12 runs of the diagnosis, predictions .* K off"
-    assert re.match(said, str(outcome.reason))
+    text = r"heat lost at the rim: .* on 12 runs of the diagnosis, predictions .* K off"
+    assert re.match(text, str(outcome.reason))
     german = words(outcome.reason, "de")
     assert re.match(r"Wärmeverlust am Rand: .* 12 Pressungen der Diagnose, Vorhersagen von \d+,\d\d ", german)
     assert "edge_loss" not in german
@@ -696,13 +696,13 @@ def test_a_report_that_cannot_be_written_keeps_no_press_from_its_night(tmp_path,
     config.write_text(text + table.replace('"lab"', '"north"'), encoding="utf-8")
     (tmp_path / "reports").write_text("in the way", encoding="utf-8")
     assert main(["refit", "--config", str(config)]) == 1
-    told = capsys.readouterr().err
+    output = capsys.readouterr().err
     with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
         assert nightly.PROCESS in store.statuses(), "the job came to its end"
         warnings = store.journal(level="warning").items
     for press in ("lab", "north"):
         assert any(entry.press == press and "cannot write the report" in str(entry.message) for entry in warnings)
-        assert f"{press}-" in told
+        assert f"{press}-" in output
 
 
 @pytest.mark.campaign
@@ -738,14 +738,14 @@ def found_by(store, presses):
     def timeless(entry):
         return {k: v for k, v in entry.items() if k != "seconds"} if entry is not None else None
 
-    told = {}
+    nights = {}
     for name in presses:
         (night,) = store.nights(press=name).items
         fits = {r.run: timeless(store.fit(r.run)) for r in store.runs(press=name).items}
         (asked,) = store.diagnoses(press=name).items
         models = [(m.version, m.model, m.status) for m in store.models(press=name).items]
-        told[name] = (fits, timeless(asked.diagnosis), models, night.progress)
-    return told
+        nights[name] = (fits, timeless(asked.diagnosis), models, night.progress)
+    return nights
 
 
 @pytest.mark.campaign
@@ -797,8 +797,8 @@ def test_presses_whose_workers_are_killed_again_and_again_are_worked_on_here(sto
     monkeypatch.setattr(fleet, "refit_stored", killed_over)
     outcomes = list(refit_presses(store, {"left": PRESS, "right": PRESS}, workers=2))
     assert {o.press for o in outcomes} == {"left", "right"} == set(store.newest_nights())
-    said = [entry.message.code for entry in store.journal(level="warning").items]
-    assert said == ["night-workers-killed"] * 2
+    messages = [entry.message.code for entry in store.journal(level="warning").items]
+    assert messages == ["night-workers-killed"] * 2
 
 
 def test_each_of_several_presses_has_a_night_of_its_own(store, runs, judging_nothing):
@@ -852,8 +852,8 @@ def scheduler_and_worker(tmp_path):
     """A scheduler and a worker as somebody starts them, each a process of its own, and the scheduler's address."""
     running, file = [], tmp_path / "scheduler.json"
 
-    def started(module, *told):
-        line = [sys.executable, "-m", f"distributed.cli.{module}", *told]
+    def started(module, *arguments):
+        line = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
         where = {"cwd": Path(__file__).parents[2], "stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
         running.append(subprocess.Popen(line, **where))
 
@@ -868,9 +868,11 @@ def scheduler_and_worker(tmp_path):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(("gone", "said"), [("worker", "no worker for"), ("scheduler", "went away over the work")])
+@pytest.mark.parametrize(
+    ("gone", "expected"), [("worker", "no worker for"), ("scheduler", "went away over the work")]
+)
 def test_a_scheduler_or_last_worker_that_goes_away_in_mid_work_is_told_instead_of_waited_for(
-    gone, said, scheduler_and_worker, monkeypatch
+    gone, expected, scheduler_and_worker, monkeypatch
 ):
     scheduler, worker, address = scheduler_and_worker
     came = on_dask(after, [0.1, 3600.0], address)
@@ -878,7 +880,7 @@ def test_a_scheduler_or_last_worker_that_goes_away_in_mid_work_is_told_instead_o
     monkeypatch.setattr(cluster_of_workers, "WORKERS_WAIT_S", 0.5)
     monkeypatch.setattr(cluster_of_workers, "LOOK_S", 0.2)
     (worker if gone == "worker" else scheduler).kill()
-    with pytest.raises(WorkersLost, match=said):
+    with pytest.raises(WorkersLost, match=expected):
         next(came)
 
 
@@ -956,9 +958,9 @@ def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, 
     rules = Rules(tmp_path / "archive", timedelta(days=90), None, 600.0, datetime.now(UTC))
     first = refit_kept(store, rules)
     assert (first.fitted, first.failed) == (2, 0)
-    told = store.nights(press="lab").items[0].night
-    assert (told["archived"], told["archive_later"], told["pressings_only"]) == (2, 0, 0)
-    assert min(told["freed_bytes"], told["archived_bytes"]) > 0
+    night = store.nights(press="lab").items[0].night
+    assert (night["archived"], night["archive_later"], night["pressings_only"]) == (2, 0, 0)
+    assert min(night["freed_bytes"], night["archived_bytes"]) > 0
     for run, fit in before.items():
         assert store.fit(run)["coefficients"] == json.loads(json.dumps(fit))["coefficients"]
     last = replace(rules, pressings_only_after=timedelta(days=365))
@@ -1001,5 +1003,5 @@ def test_a_night_without_time_leaves_the_archive_to_the_next_and_a_wrong_folder_
     lost = keep_house(store, "lab", replace(rules, folder=tmp_path / "file"), datetime.now(UTC))
     assert lost == OldScans(problem=lost.problem)
     assert "correct store.archive" in str(lost.problem)
-    [said] = store.journal(level="alarm").items
-    assert "correct store.archive" in str(said.message)
+    [entry] = store.journal(level="alarm").items
+    assert "correct store.archive" in str(entry.message)

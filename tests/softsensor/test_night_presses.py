@@ -79,10 +79,10 @@ def only_north_failed(found, fault):
 def test_whatever_one_press_has_the_others_have_their_nights(fault, workers, tmp_path, runs, capsys):
     found = night_of_three(tmp_path, runs, fault, "--workers", workers)
     only_north_failed(found, fault)
-    told = capsys.readouterr()
-    assert "north: the nightly job failed" in told.err
-    assert FAULTS[fault] in told.err
-    assert len(told.err.strip().splitlines()) == 1
+    output = capsys.readouterr()
+    assert "north: the nightly job failed" in output.err
+    assert FAULTS[fault] in output.err
+    assert len(output.err.strip().splitlines()) == 1
 
 
 @pytest.mark.campaign
@@ -120,8 +120,8 @@ def test_presses_left_when_the_workers_are_lost_are_worked_on_here(store, judgin
     monkeypatch.setattr(fleet, "handed_out", lost)
     outcomes = list(refit_presses(store, {"left": PRESS, "right": PRESS}, workers=2))
     assert [o.press for o in outcomes] == ["left", "right"]
-    said = [entry.message.code for entry in store.journal(level="warning").items]
-    assert sorted(said) == ["night-workers-killed"] * 2 + ["night-workers-lost"]
+    messages = [entry.message.code for entry in store.journal(level="warning").items]
+    assert sorted(messages) == ["night-workers-killed"] * 2 + ["night-workers-lost"]
 
 
 @pytest.mark.parametrize("fault", ["sisters", "archive"])

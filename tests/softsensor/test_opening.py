@@ -272,7 +272,7 @@ def test_examples_say_that_they_are_examples_and_where_from(file):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
         (("rate_per_s = 0.05\n", ""), "exactly one of rate_per_s"),
         (
@@ -284,10 +284,10 @@ def test_examples_say_that_they_are_examples_and_where_from(file):
         (("[order]", "[kamal]\nrate_1_per_s = 1.0\n[order]"), "kamal"),
     ],
 )
-def test_a_resin_file_is_refused_with_key_and_limit(change, said):
+def test_a_resin_file_is_refused_with_key_and_limit(change, expected):
     text = '[resin]\nname = "x"\nsource = "y"\n[order]\nrate_per_s = 0.05\nactivation_energy_kJ_mol = 80\n'
     assert change[0] in text
     with pytest.raises(InputError) as error:
         parse_resin(text.replace(*change), "own.toml")
     assert str(error.value).startswith("own.toml: ")
-    assert said in str(error.value)
+    assert expected in str(error.value)

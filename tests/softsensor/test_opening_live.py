@@ -41,9 +41,9 @@ def test_with_the_resin_known_both_faces_are_followed_and_the_press_opens_in_tim
 
 def test_nothing_may_leave_before_it_is_cured_nor_once_the_press_is_open(one):
     run, truth, _ = one
-    time_s, said = run.time_s, replay(PRESS, headed(run), MODEL, resin=RESIN).estimates
+    time_s, estimates = run.time_s, replay(PRESS, headed(run), MODEL, resin=RESIN).estimates
     bottom, top = cured(solve(truth.pressing), PAPER, time_s)
-    for t, estimate, cure in zip(time_s, said, np.minimum(bottom, top), strict=True):
+    for t, estimate, cure in zip(time_s, estimates, np.minimum(bottom, top), strict=True):
         if estimate.open_now:
             assert cure >= LEAST
             assert estimate.state == "closed"
@@ -54,11 +54,11 @@ def test_a_lost_platen_takes_the_leave_back(one):
     run, truth, _ = one
     lost = run.time_s > truth.moments.closed_s + 20.0
     columns = {n: np.where(lost, np.nan, v) if n.startswith("platen") else v for n, v in run.columns.items()}
-    said = replay(PRESS, headed(replace(run, columns=columns)), MODEL, resin=RESIN).estimates
-    assert any(e.open_now for e in said)
-    assert not any(e.open_now for e in said if not e.valid)
+    estimates = replay(PRESS, headed(replace(run, columns=columns)), MODEL, resin=RESIN).estimates
+    assert any(e.open_now for e in estimates)
+    assert not any(e.open_now for e in estimates if not e.valid)
     late = run.time_s > truth.moments.closed_s + 32.0  # a platen is bridged for some seconds
-    assert not any(e.open_now for e, gone in zip(said, late, strict=True) if gone)
+    assert not any(e.open_now for e, gone in zip(estimates, late, strict=True) if gone)
 
 
 def test_the_band_without_readings_of_the_faces_is_wider_and_holds(one):
@@ -128,20 +128,20 @@ def test_limits_hold_at_opening_with_the_promised_share(hidden):
 
 def test_the_moment_foreseen_is_the_moment_at_which_leave_is_given(one):
     run, truth, found = one
-    sensor, told, given = LiveSensor(PRESS, headed(run).header, MODEL, RESIN), [], None
+    sensor, foreseen, given = LiveSensor(PRESS, headed(run).header, MODEL, RESIN), [], None
     for i, t in enumerate(run.time_s.tolist()):
-        said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
-        if said.state == "closed":
-            told.append((t, sensor.forecast))
-        given = t if given is None and said.open_now else given
+        if estimate.state == "closed":
+            foreseen.append((t, sensor.forecast))
+        given = t if given is None and estimate.open_now else given
     assert given - truth.moments.closed_s == pytest.approx(found.opened)
-    before = [(t, o) for t, o in told if truth.moments.closed_s + 3.0 < t < given - 1.0]
+    before = [(t, o) for t, o in foreseen if truth.moments.closed_s + 3.0 < t < given - 1.0]
     assert before
     assert all(o.limits_blocking == "" for _, o in before)
     assert max(abs(t + o.limits_in_s - given) for t, o in before) < 4.0
     assert all(o.limits_likely_in_s <= o.limits_in_s for _, o in before)
-    after = [o for t, o in told if given + 4.0 < t < truth.moments.opened_s - 1.0]
+    after = [o for t, o in foreseen if given + 4.0 < t < truth.moments.opened_s - 1.0]
     assert all(o.limits_in_s == 0.0 for o in after)
 
 

@@ -114,12 +114,12 @@ def test_search_that_ends_far_from_what_the_run_allows_is_not_called_converged(m
     run, truth = measured
     own = fit_run(MODEL, run, truth.moments)
     worse = replace(own, rmse_still_K=3.0 * own.rmse_still_K)
-    told = held_against(worse, own)
-    assert not told.converged
-    assert any("stuck" in str(w) and f"{own.rmse_still_K:.2f} K" in str(w) for w in told.warnings)
+    judged = held_against(worse, own)
+    assert not judged.converged
+    assert any("stuck" in str(w) and f"{own.rmse_still_K:.2f} K" in str(w) for w in judged.warnings)
     far = replace(own.coefficients["h_pp_c"], value=5696.0, ci95=(5000.0, 6500.0))
-    told = held_against(replace(own, coefficients={**own.coefficients, "h_pp_c": far}), own)
-    assert any(str(w).startswith("h_pp_c = 5696 W/m²K lies outside what the run allows") for w in told.warnings)
+    judged = held_against(replace(own, coefficients={**own.coefficients, "h_pp_c": far}), own)
+    assert any(str(w).startswith("h_pp_c = 5696 W/m²K lies outside what the run allows") for w in judged.warnings)
 
 
 def test_slopes_of_the_papers_residuals_are_those_of_differences(measured):

@@ -196,15 +196,15 @@ def test_ranges_are_the_runs_own_somewhat_widened() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "expected"),
     [
         ({"thickness_mm": (19.0, 8.0)}, "give the lower end first"),
         ({"thickness_mm": (0.1, 8.0)}, "must lie between 2 and 80"),
         ({"pressure_N_cm2": (200.0, 300.0)}, "no such setting here; known are thickness_mm"),
     ],
 )
-def test_a_range_that_cannot_be_is_refused(given: dict[str, tuple[float, float]], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_range_that_cannot_be_is_refused(given: dict[str, tuple[float, float]], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
         default_ranges([{"thickness_mm": 16.0}], given)
 
 
@@ -224,16 +224,16 @@ def test_the_command_says_what_is_open_and_writes_it(
     ranges = ["--range", "thickness_mm=8:19", "--range", "press_time_s=40:60"]
     command = ["plan", *map(str, runs), "--press", str(tmp_path / "press.toml"), "--json", str(out), *ranges]
     assert main(command) == 0
-    said = capsys.readouterr().out
-    told = json.loads(out.read_text(encoding="utf-8"))
-    assert set(told) == {"runs", "verdict", "usual", "ranges", "open"}
-    assert told["runs"] == 3
-    assert told["ranges"]["thickness_mm"] == [8.0, 19.0]
-    assert set(told["usual"]) == set(FACTORS)
-    for point in told["open"]:
+    output = capsys.readouterr().out
+    written = json.loads(out.read_text(encoding="utf-8"))
+    assert set(written) == {"runs", "verdict", "usual", "ranges", "open"}
+    assert written["runs"] == 3
+    assert written["ranges"]["thickness_mm"] == [8.0, 19.0]
+    assert set(written["usual"]) == set(FACTORS)
+    for point in written["open"]:
         assert set(point["best"]["settings"]) == set(FACTORS)
         assert point["best"]["worth"] >= point["repeated"]["worth"]
-    assert len(said.splitlines()) >= max(len(told["open"]), 1)
+    assert len(output.splitlines()) >= max(len(written["open"]), 1)
     monkeypatch.setenv("KERNTEMP_LANGUAGE", "de")
     assert main([*command[:-4], "--range", "thickness_mm=8"]) == 2
     assert "muss NAME=UNTEN:OBEN sein" in capsys.readouterr().err
@@ -243,8 +243,8 @@ def test_a_plan_in_python_is_the_commands() -> None:
     runs = [run for run, _ in make_campaign(7, 3, None, Plan(rate_hz=1.0, thickness_mm=16.0))]
     found = softsensor.diagnose(runs, press(), effects=["edge_loss"])
     planned = softsensor.plan(found, press(), ranges={"thickness_mm": (8.0, 19.0)})
-    told = json.loads(planned.to_json())
-    assert len(planned.frame()) == sum(3 for _ in told["open"])
+    written = json.loads(planned.to_json())
+    assert len(planned.frame()) == sum(3 for _ in written["open"])
     assert len(str(planned)) > 10
     assert flooding(planned) == {}
     assert planned.plot()
@@ -279,12 +279,12 @@ def test_what_if_is_the_pressing_that_other_settings_really_give() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "expected"),
     [
         ({"press_time": 60.0}, "press_time: this run has no such setting; it has platen_temperature_C"),
         ({"press_time_s": 0.1}, "press_time_s = 0.1 must lie between 5 and 3600"),
     ],
 )
-def test_a_setting_that_no_press_has_is_refused(changed: dict[str, float], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_setting_that_no_press_has_is_refused(changed: dict[str, float], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
         softsensor.simulate(stage().data[0].digest.run, press(), settings=changed)

@@ -57,7 +57,7 @@ def test_the_interval_holds_the_chance_in_at_least_95_percent_of_all_draws(chanc
 
 def test_found_alone_and_wrong_names_are_counted_apart():
     heat, rim = Hidden("resin_cure", (("heat_kJ_m2", 30.0),)), Hidden("edge_loss", (("W_m3K", 1200.0),))
-    told = [
+    rows = [
         Outcome(heat, 0, "named", (("resin_cure",),)),
         Outcome(heat, 1, "ambiguous", (("edge_loss", "resin_cure"),)),
         Outcome(heat, 2, "named", (("edge_loss",),)),
@@ -65,7 +65,7 @@ def test_found_alone_and_wrong_names_are_counted_apart():
         Outcome(Hidden(""), 0, "no_effect", ()),
         Outcome(Hidden(""), 1, "named", (("edge_loss",),)),
     ]
-    found = rehearsal_of(campaign(), told)
+    found = rehearsal_of(campaign(), rows)
     assert [(r.hidden.name, r.found.count, r.alone.count, r.wrong.count, r.found.of) for r in found.rows] == [
         ("resin_cure", 2, 1, 1, 3),
         ("edge_loss", 0, 0, 0, 1),
@@ -142,11 +142,11 @@ def test_a_hidden_sink_cools_the_simulated_faces():
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "expected"),
     [("edge_loss=much", "edge_loss"), ("sensor_fault=1", "sensor_fault"), ("clock_offset", "clock_offset")],
 )
-def test_a_cause_that_cannot_be_hidden_is_refused(asked, said):
-    with pytest.raises(InputError, match=said):
+def test_a_cause_that_cannot_be_hidden_is_refused(asked, expected):
+    with pytest.raises(InputError, match=expected):
         hidden_of(campaign(), [asked])
 
 
@@ -208,11 +208,11 @@ def test_the_command_tells_how_long_it_takes_and_where_the_campaigns_come_from(t
     call = ["diagnose", *files, "--press", str(tmp_path / "press.toml"), "--rehearse", "--rehearse-campaigns", "1"]
     call += ["--rehearse-effect", "thermocouple_lag=4", "--json", str(json_out), "--html", str(html)]
     assert main(call) == 0
-    told = capsys.readouterr().out
-    assert "2 simulated campaigns to diagnose, 0 done before" in told
-    assert re.search(r"about \d+ min on \d process", told)
-    assert "the sensor's own model" in told
-    assert "1 of 1 (3 to 100 %)" in told
+    output = capsys.readouterr().out
+    assert "2 simulated campaigns to diagnose, 0 done before" in output
+    assert re.search(r"about \d+ min on \d process", output)
+    assert "the sensor's own model" in output
+    assert "1 of 1 (3 to 100 %)" in output
     assert "How often such a diagnosis is right" in html.read_text()
     table = json.loads(json_out.read_text())["rehearsal"]
     assert table["effects"][0]["parameters"] == {"time_constant_s": 4.0}

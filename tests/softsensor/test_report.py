@@ -52,8 +52,8 @@ def test_a_page_in_german_says_nothing_of_its_own_in_english(campaign):
     page = fit_report(campaign, language="de")
     assert '<html lang="de">' in page
     assert "Angepasst an 3 Pressungen liegt das Modell" in page
-    english = {c: said.strip() for c, said in catalogue_of("en").entries().items() if c.startswith("report-")}
-    assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in page]
+    english = {c: text.strip() for c, text in catalogue_of("en").entries().items() if c.startswith("report-")}
+    assert not [c for c, text in english.items() if "{" not in text and f">{text}<" in page]
 
 
 def test_the_legend_of_a_fit_says_which_coefficients_each_line_has(campaign):
@@ -154,10 +154,10 @@ def test_ink_shows_on_every_colour_of_the_correlations():
 def test_the_true_core_is_within_the_fits_band_and_a_better_known_panel_makes_it_narrower(pressed, campaign):
     for fitted, (run, truth) in zip(campaign.runs, pressed, strict=True):
         found = fitted_core(fitted)
-        told = np.isfinite(found.low)
-        assert told.sum() > 60
+        known = np.isfinite(found.low)
+        assert known.sum() > 60
         assert np.nanmedian(found.high + found.low - 2.0 * found.core) == pytest.approx(0.0, abs=1e-6)
-        assert np.mean((truth.core_C >= found.low)[told] & (truth.core_C <= found.high)[told]) > 0.9
+        assert np.mean((truth.core_C >= found.low)[known] & (truth.core_C <= found.high)[known]) > 0.9
         start = min(run.header["panel.initial_temperature_C"], run.header["ambient.temperature_C"])
         assert np.nanmin(found.low) > start - 3.0
         assert np.isfinite(found.error_K) == ("core_1" in run.columns)

@@ -146,7 +146,7 @@ def follow(store, fitter, recorder, chunk=20, restart_at=None):
     return sense
 
 
-def said(store):
+def estimate_rows(store):
     record = store.runs().items[0]
     return [
         (t, str(e.state), e.core_celsius, e.core_low_celsius, e.core_high_celsius, e.valid)
@@ -159,7 +159,7 @@ def test_every_scan_of_a_pressing_gets_its_estimate_and_the_pressing_its_fit(sto
     recorder = Recorder(store, run)
     sense = follow(store, fitter, recorder)
     record = store.runs().items[0]
-    rows = said(store)
+    rows = estimate_rows(store)
     assert len(rows) == record.last_scan - record.first_scan + 1
     shift = float(run.time_s[np.searchsorted(run.time_s, record.zero_monotonic_s - 100.0 - 1e-6)])
     errors = [
@@ -216,10 +216,10 @@ def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_
     while recorder.done < 80:
         recorder.put(5)
         drain(sense)
-    said = store.estimates_after("lab", 0)
-    closed = [e for e in said if e.valid and e.state == "closed"]
+    estimates = store.estimates_after("lab", 0)
+    closed = [e for e in estimates if e.valid and e.state == "closed"]
     assert 0.0 <= closed[0].detail["cure_low"] <= closed[-1].detail["cure_low"] <= closed[-1].detail["cure_top"]
-    assert not any(e.detail["open_now"] for e in said if e.detail and "open_now" in e.detail and not e.valid)
+    assert not any(e.detail["open_now"] for e in estimates if e.detail and "open_now" in e.detail and not e.valid)
     leave = next(e for e in closed if e.detail["open_now"])
     assert (closed[0].detail["grade"], leave.detail["grade"]) == ("undercured", "matt")
     assert estimate_now(leave, None, BEGAN, BEGAN).grade == "matt"
@@ -234,15 +234,15 @@ def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
     run, _ = pressing
     wrong = {"panel.initial_temperature_C": run.header["panel.initial_temperature_C"] + 20.0}
     sensor = LiveSensor(PRESS, dict(run.header) | wrong | {"setting.core_target_C": 60.0})
-    told = []
+    foreseen = []
     for i, t in enumerate(run.time_s[:60].tolist()):
-        said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
-        if said.state is PressState.CLOSED:
-            told.append((said.valid, set(_details(sensor, said)) - {"suspected", "reason_arguments"}))
-    assert len(told) > 20
+        if estimate.state is PressState.CLOSED:
+            foreseen.append((estimate.valid, set(_details(sensor, estimate)) - {"suspected", "reason_arguments"}))
+    assert len(foreseen) > 20
     assert np.isfinite(sensor.forecast.target_in_s)  # it was worked out, of an estimate that cannot be
-    assert all(not valid and not beside for valid, beside in told)
+    assert all(not valid and not beside for valid, beside in foreseen)
 
 
 def test_a_restart_in_mid_press_agrees_with_the_uninterrupted_estimate(tmp_path, fitter, pressing):
@@ -256,7 +256,7 @@ def test_a_restart_in_mid_press_agrees_with_the_uninterrupted_estimate(tmp_path,
                 columns={n: v[:100] for n, v in recorder.run.columns.items()},
             )
             follow(store, fitter, recorder, restart_at=restart)
-            answers.append(repr(said(store)))
+            answers.append(repr(estimate_rows(store)))
     assert answers[0] == answers[1]
 
 
@@ -315,8 +315,8 @@ def test_what_the_operator_writes_down_counts_at_once(store, fitter, pressing):
 
 
 def told_to_depart(store):
-    said = [entry.message for entry in store.journal().items if entry.message.code == "channel-departs"]
-    return [(one.arguments["column"], one.arguments["kelvin"]) for one in said]
+    messages = [entry.message for entry in store.journal().items if entry.message.code == "channel-departs"]
+    return [(one.arguments["column"], one.arguments["kelvin"]) for one in messages]
 
 
 def test_a_sensor_that_falls_off_in_the_closed_press_is_told_once(store, fitter, pressing):
@@ -411,7 +411,7 @@ class _Moody:
 
 def test_a_store_that_refuses_now_and_then_changes_no_estimate(tmp_path, fitter, pressing):
     run, _ = pressing
-    said_to = []
+    rows_to = []
     for moody in (False, True):
         with open_store(str(tmp_path / f"{moody}.sqlite")) as opened:
             sense = follower(_Moody(opened) if moody else opened, fitter)
@@ -421,17 +421,17 @@ def test_a_store_that_refuses_now_and_then_changes_no_estimate(tmp_path, fitter,
                 for _ in range(4):
                     with suppress(StoreUnavailable):
                         drain(sense)
-            said_to.append(said(opened))
+            rows_to.append(estimate_rows(opened))
             if moody:
                 assert sense.store.refusals > 3
             fitted(opened, sense, opened.runs().items[0].run)
-    assert len(said_to[0]) > 100
-    assert repr(said_to[1]) == repr(said_to[0])
+    assert len(rows_to[0]) > 100
+    assert repr(rows_to[1]) == repr(rows_to[0])
 
 
 def test_a_pressing_that_ended_while_the_process_was_away_gets_all_its_estimates(tmp_path, fitter, pressing):
     run, _ = pressing
-    said_to = []
+    rows_to = []
     for away in (False, True):
         with open_store(str(tmp_path / f"{away}.sqlite")) as opened:
             recorder = Recorder(opened, run)
@@ -444,10 +444,10 @@ def test_a_pressing_that_ended_while_the_process_was_away_gets_all_its_estimates
             sense = follower(opened, fitter) if away else sense
             drain(sense)
             record = opened.runs().items[0]
-            said_to.append(said(opened)[: record.last_scan - record.first_scan + 1])
-            assert len(said_to[-1]) == record.last_scan - record.first_scan + 1
+            rows_to.append(estimate_rows(opened)[: record.last_scan - record.first_scan + 1])
+            assert len(rows_to[-1]) == record.last_scan - record.first_scan + 1
             wait_until(lambda sense=sense, run=record.run: drain(sense) or opened.fit(run))
-    assert repr(said_to[1]) == repr(said_to[0])
+    assert repr(rows_to[1]) == repr(rows_to[0])
 
 
 def test_however_many_pressings_ended_meanwhile_each_scan_of_them_gets_its_estimate(store, fitter, pressing):
@@ -590,11 +590,11 @@ def test_a_sensor_that_has_to_compile_first_gives_signs_of_life_meanwhile(tmp_pa
     sensing = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     try:
         with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
-            while (told := store.statuses().get("sense")) is None:
+            while (status := store.statuses().get("sense")) is None:
                 assert sensing.poll() is None, sensing.stderr.read()
                 time.sleep(0.1)
-        assert told.status["state"] == "starting"
-        assert "compiling the model" in told.status["message"]
+        assert status.status["state"] == "starting"
+        assert "compiling the model" in status.status["message"]
     finally:
         sensing.kill()
         sensing.communicate()
@@ -739,7 +739,7 @@ def test_a_fault_of_one_presss_sensor_is_told_once_and_it_begins_anew(store, fit
     assert alarms(store) == [OUR_FAULT]
     assert guarded.problem is None
     record = store.runs().items[0]
-    assert len(said(store)) == record.last_scan - record.first_scan + 1
+    assert len(estimate_rows(store)) == record.last_scan - record.first_scan + 1
     assert all(reason != InvalidReason.CALCULATION_FAILED for reason in reasons(store, record.run))
 
 
@@ -760,9 +760,9 @@ def followed_through_a_fault(store, fitter, run, taken):
 
 def test_a_scan_at_which_the_sensor_always_fails_costs_its_own_estimate_alone(store, fitter, pressing, breaking):
     record = followed_through_a_fault(store, fitter, pressing[0], store.last_scan_followed)
-    assert len(said(store)) == record.last_scan - record.first_scan + 1
+    assert len(estimate_rows(store)) == record.last_scan - record.first_scan + 1
     assert reasons(store, record.run).count(InvalidReason.CALCULATION_FAILED) == 2, "two read the same"
-    assert sum(state == str(PressState.CLOSED) and valid for _, state, *_, valid in said(store)) > 40
+    assert sum(state == str(PressState.CLOSED) and valid for _, state, *_, valid in estimate_rows(store)) > 40
 
 
 def test_a_sensor_that_fails_at_every_scan_from_one_on_begins_with_those_that_come(
@@ -771,8 +771,8 @@ def test_a_sensor_that_fails_at_every_scan_from_one_on_begins_with_those_that_co
     breaking["for_good"] = True
     run, truth = pressing
     record = followed_through_a_fault(store, fitter, run, store.newest_estimate_number)
-    assert len(said(store)) > record.last_scan - record.first_scan - 40
-    late = [row for row in said(store) if row[0] > run.time_s[POISONED + 20]]
+    assert len(estimate_rows(store)) > record.last_scan - record.first_scan - 40
+    late = [row for row in estimate_rows(store) if row[0] > run.time_s[POISONED + 20]]
     assert len(late) > 40
     for t, state, _, low, high, valid in late:
         core = np.interp(t, run.time_s[: len(truth.core_C)], truth.core_C)
@@ -839,7 +839,7 @@ def test_a_model_in_force_that_cannot_be_taken_costs_no_estimate_and_is_told_onc
     store.put_model("lab", "from-later", {"version": "from-later", "effects": [{"name": "not known yet"}]})
     store.promote_model("from-later", "test")
     now = follow_guarded(guarded, recorder, POISONED)
-    assert len(said(store)) > POISONED // 2
+    assert len(estimate_rows(store)) > POISONED // 2
     assert guarded.problem.code == "sense-model-not-taken"
     assert [entry.message.code for entry in store.journal(level="alarm").items] == ["sense-model-not-taken"]
     sound = ModelFile("sound", "lab", {n: FittedValue(c.guess, 1.0) for n, c in PRESS.coefficients.items()})
@@ -883,13 +883,13 @@ def test_a_run_that_cannot_be_read_has_no_fit_which_is_told_once_and_the_sensor_
     poison(store, store.open_run("lab").first_scan + POISONED)
     follow_guarded(guarded, recorder, now=1e6)
     assert not asked.runs
-    told = store.journal(level="alarm").items
-    assert {entry.message.code for entry in told} == {"run-not-fitted"}
-    assert len(told) <= 2, "as the press opens, and as the panel has left"
+    messages = store.journal(level="alarm").items
+    assert {entry.message.code for entry in messages} == {"run-not-fitted"}
+    assert len(messages) <= 2, "as the press opens, and as the panel has left"
     assert store.newest_estimate_number("lab") >= store.newest_scan_number("lab") - 1
     again = guarded_lab(store, asked)
     again.step(1e7)
-    assert len(store.journal(level="alarm").items) == len(told)
+    assert len(store.journal(level="alarm").items) == len(messages)
 
 
 def test_the_sensor_says_nothing_of_a_panel_whose_header_is_damaged_and_goes_on_with_the_next(store, pressing):
@@ -945,9 +945,9 @@ def test_the_real_process_passes_over_a_scan_that_cannot_be_read(tmp_path, press
                     time.sleep(0.2)
                 assert store.open_run("lab"), "while the run is still open"
                 wait_until(lambda: "Error" not in store.statuses()["sense"].status["message"], 60.0)
-                [told] = [entry.message for entry in store.journal(level="alarm").items]
-                assert told.arguments["what"].code == "store-scan-damaged"
-                assert told.arguments["what"].arguments["scan"] == bad
+                [message] = [entry.message for entry in store.journal(level="alarm").items]
+                assert message.arguments["what"].code == "store-scan-damaged"
+                assert message.arguments["what"].arguments["scan"] == bad
             finally:
                 sensing.terminate()
                 sensing.communicate()

@@ -128,14 +128,14 @@ def test_a_press_that_is_not_to_learn_has_no_model_before_its_own_pressings(stor
 
 
 def test_the_night_in_which_a_press_learned_from_its_sisters_says_so_and_the_next_one_does_not(store):
-    told = []
+    outcomes = []
     for _ in range(2):
         (outcome,) = refit_presses(store, {"new": PRESS}, workers=1, learning=["new"])
         (night,) = store.nights(press="new", limit=1).items
-        told.append((outcome.promoted, night.night["promoted"], night.night["reason"]["code"]))
+        outcomes.append((outcome.promoted, night.night["promoted"], night.night["reason"]["code"]))
     version = store.active_model("new").version
-    assert told[0] == (True, version, "model-from-sisters")
-    assert told[1][:2] == (False, "")
+    assert outcomes[0] == (True, version, "model-from-sisters")
+    assert outcomes[1][:2] == (False, "")
 
 
 def test_the_live_sensor_begins_with_sisters_unless_its_press_is_not_to(store):

@@ -32,15 +32,17 @@ def test_as_it_was_the_core_is_what_the_live_sensor_told(pressed):
     at_s = pressed.moments.opened_s
     found = what_if(replace(pressed, live=LiveCore(at_s, 61.0, 1.5)))
     row = int(np.abs(found.run.time_s - at_s).argmin())
-    told = found.core.middle[row], found.core.high[row] - found.core.middle[row]
-    assert told == pytest.approx((61.0, BAND * 1.5), rel=1e-9)
+    middle_and_half = found.core.middle[row], found.core.high[row] - found.core.middle[row]
+    assert middle_and_half == pytest.approx((61.0, BAND * 1.5), rel=1e-9)
 
 
 def test_what_the_live_sensor_told_narrows_what_a_later_opening_would_have_brought(pressed):
     alone = what_if(pressed, {"press_time_s": 120.0})
-    told = what_if(replace(pressed, live=LiveCore(pressed.moments.opened_s, 61.0, 1.5)), {"press_time_s": 120.0})
-    assert np.all(told.core.high - told.core.low < alone.core.high - alone.core.low + 1e-9)
-    assert told.core.high[-1] - told.core.low[-1] < 0.7 * (alone.core.high[-1] - alone.core.low[-1])
+    with_live = what_if(
+        replace(pressed, live=LiveCore(pressed.moments.opened_s, 61.0, 1.5)), {"press_time_s": 120.0}
+    )
+    assert np.all(with_live.core.high - with_live.core.low < alone.core.high - alone.core.low + 1e-9)
+    assert with_live.core.high[-1] - with_live.core.low[-1] < 0.7 * (alone.core.high[-1] - alone.core.low[-1])
 
 
 def test_a_later_opening_changes_nothing_before_it_and_makes_the_core_hotter(pressed):

@@ -100,9 +100,9 @@ def test_no_sentence_shows_the_code_it_chooses_by(language):
 
 @pytest.mark.parametrize("language", languages())
 def test_a_night_has_words_of_its_own_for_every_verdict(language):
-    told = {"press": "lab", "fits": "", "model": "none", "version": "", "reason": ""}
+    values = {"press": "lab", "fits": "", "model": "none", "version": "", "reason": ""}
     verdicts = (*Verdict, NOT_ASKED, "of a newer version")
-    lines = [words(say("night-outcome", **told, verdict=v), language) for v in verdicts]
+    lines = [words(say("night-outcome", **values, verdict=v), language) for v in verdicts]
     assert len(set(lines)) == len(Verdict) + 2
     for verdict, line in zip(Verdict, lines, strict=False):  # the same as on the page and in the reports
         assert words(Message(f"diagnosis-verdict-{verdict}"), language) in line
@@ -129,8 +129,8 @@ def test_every_command_and_option_has_its_help_in_every_language(language):
 @pytest.mark.parametrize("language", languages())
 def test_no_help_has_a_number_of_its_own(language):
     """Limits and stand-ins are arguments; examples are part of a word, and port 0 is any free one."""
-    told = {code: text for code, text in catalogue_of(language).entries().items() if code.startswith("help-")}
-    alone = {code: re.findall(r"(?<![^\s(])\d[\d.,]*(?=[\s;.)]|$)", text) for code, text in told.items()}
+    helps = {code: text for code, text in catalogue_of(language).entries().items() if code.startswith("help-")}
+    alone = {code: re.findall(r"(?<![^\s(])\d[\d.,]*(?=[\s;.)]|$)", text) for code, text in helps.items()}
     assert {code: found for code, found in alone.items() if set(found) - {"0"}} == {}
 
 
@@ -211,16 +211,16 @@ def test_a_number_that_is_none_is_told_in_words_in_every_sentence(language, numb
     """Fluent's own NUMBER() would leave ``NUMBER()`` in the sentence."""
     own = catalogue_of(language)
     for code, entry in patterns(language).items():
-        said = own.words(Message(code, dict.fromkeys(variables(entry), number)))
-        assert "NUMBER" not in said, (code, said)
+        text = own.words(Message(code, dict.fromkeys(variables(entry), number)))
+        assert "NUMBER" not in text, (code, text)
 
 
 @pytest.mark.parametrize("number", [1e300, -1e25, 10**400], ids=["1e300", "-1e25", "10**400"])
 @pytest.mark.parametrize("language", languages())
 def test_every_sentence_can_be_said_of_a_number_of_any_size(language, number):
     for code, entry in patterns(language).items():
-        said = words(Message(code, dict.fromkeys(variables(entry), number)), language)
-        assert said, code
+        text = words(Message(code, dict.fromkeys(variables(entry), number)), language)
+        assert text, code
     assert words(say("list-of-names", names=(1e300, 10**400, -2.5e30)), language) == "1e+300, 1e+400, -2.5e+30"
 
 
@@ -241,9 +241,9 @@ def test_numbers_of_a_table_are_numbers_like_any_other():
 @pytest.mark.parametrize("language", languages())
 def test_of_a_text_too_long_for_a_sentence_the_beginning_is_shown(language):
     cell = say("at-column", column="time_s", what=say("at-key-value", key="x", value="7" * 5000, what="wrong"))
-    told = words(cell, language)
-    assert "777…: wrong" in told
-    assert len(told) < 300
+    values = words(cell, language)
+    assert "777…: wrong" in values
+    assert len(values) < 300
     names = words(say("at-column", column="time_s", what=say("list-of-names", names=["top_1"] * 5000)), language)
     assert "top_1, top_1" in names
     assert names.endswith("…")
@@ -273,9 +273,9 @@ def test_a_code_of_a_newer_version_is_shown_with_its_arguments():
 @pytest.mark.skipif(os.name != "posix", reason="what the system says is held against POSIX's words")
 @pytest.mark.parametrize("number", SYSTEM_FAULTS)
 def test_what_the_system_refuses_is_said_in_its_own_words_and_in_every_language(number):
-    said = reason_of(OSError(number, "not to be repeated", "file.csv"))
+    reason = reason_of(OSError(number, "not to be repeated", "file.csv"))
     english = {errno.EPERM: os.strerror(errno.EACCES)}.get(number, os.strerror(number))  # the same for a reader
-    assert [words(said, language) == english for language in languages()] == [one == "en" for one in languages()]
+    assert [words(reason, language) == english for language in languages()] == [one == "en" for one in languages()]
 
 
 def test_what_the_system_says_that_no_catalogue_has_is_repeated():
@@ -296,11 +296,11 @@ def test_whatever_stands_for_a_value_in_a_call_has_its_word(language):
 
 @pytest.mark.parametrize("language", languages())
 def test_a_silence_is_told_as_people_put_it(language):
-    said = words(
+    text = words(
         Message("health-process-silent", {"process": "record", "seconds": 4399.2, "command": "record"}), language
     )
-    assert "1 h 13 min" in said
-    assert "4399" not in said
+    assert "1 h 13 min" in text
+    assert "4399" not in text
 
 
 @pytest.mark.parametrize("language", languages())
