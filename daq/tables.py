@@ -212,7 +212,7 @@ def why_of(item: Any) -> Message:
     limit = next((given[name] for name in ("gt", "ge", "lt", "le") if name in given), None)
     if limit is not None:
         return say(f"limit-{kind.replace('_', '-')}", limit=float(limit))
-    if kind == "literal_error":
+    if kind in ("literal_error", "enum"):
         return say("key-one-of", known=str(given["expected"]))
     if code := _KINDS.get(kind):
         return say(code)

@@ -12,6 +12,7 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -139,10 +140,27 @@ class Layer(Table):
         return self
 
 
+class BoundaryKind(StrEnum):
+    """What a stack's end meets."""
+
+    MEASURED = "measured"
+    FLUX = "flux"
+    AIR = "air"
+    INSULATED = "insulated"
+
+
+class InitialKind(StrEnum):
+    """What a run's temperatures begin from."""
+
+    STEADY = "steady"
+    SENSORS = "sensors"
+    UNIFORM = "uniform"
+
+
 class Boundary(Table):
     """``[boundary.bottom]`` and ``[boundary.top]``."""
 
-    kind: Literal["measured", "flux", "air", "insulated"] = "insulated"
+    kind: BoundaryKind = BoundaryKind.INSULATED
     column: str | None = None
     incident_W_m2: Number = 0.0  # noqa: N815
     from_run: Yes = False
@@ -156,11 +174,11 @@ class Boundary(Table):
 
     @model_validator(mode="after")
     def _complete(self) -> Boundary:
-        if self.kind == "measured" and self.column is None:
+        if self.kind is BoundaryKind.MEASURED and self.column is None:
             raise ValueError(say("press-boundary-needs-column"))
-        if self.kind == "air" and self.coefficient is None:
+        if self.kind is BoundaryKind.AIR and self.coefficient is None:
             raise ValueError(say("press-boundary-needs-coefficient"))
-        if self.from_run and self.kind != "flux":
+        if self.from_run and self.kind is not BoundaryKind.FLUX:
             raise ValueError(say("press-boundary-no-flux-of-run", kind=self.kind))
         return self
 
@@ -272,7 +290,7 @@ class Core(Table):
 class Initial(Table):
     """``[initial]``: the temperatures before the first row."""
 
-    kind: Literal["steady", "sensors", "uniform"] = "steady"
+    kind: InitialKind = InitialKind.STEADY
     temperature_C: Number | None = Field(default=None, gt=COLDEST_C, lt=HOTTEST_C)  # noqa: N815
     """Of ``uniform``. None: the run's ``panel.initial_temperature_C``."""
 
@@ -358,7 +376,7 @@ class Press(Table):
     @property
     def platens(self) -> tuple[str, ...]:
         """Columns of the measured boundary temperatures, bottom before top."""
-        return tuple(b.column for _, b in self.boundary.ends if b.kind == "measured" and b.column)
+        return tuple(b.column for _, b in self.boundary.ends if b.kind is BoundaryKind.MEASURED and b.column)
 
     @property
     def load_references(self) -> dict[int, tuple[str, float]]:
@@ -430,8 +448,12 @@ class Press(Table):
             self._check_place("core.at", self.core.at)
         if mistake := self.misnamed_wire:
             raise ValueError(mistake)
-        if self.initial.kind == "uniform" and self.initial.temperature_C is None and not self.panel_layers:
-            raise ValueError(_of("initial.kind", "uniform", say("press-initial-needs")))
+        if (
+            self.initial.kind is InitialKind.UNIFORM
+            and self.initial.temperature_C is None
+            and not self.panel_layers
+        ):
+            raise ValueError(_of("initial.kind", InitialKind.UNIFORM, say("press-initial-needs")))
         return self
 
     @property
@@ -454,7 +476,7 @@ class Press(Table):
             if (
                 isinstance(contact.open, tuple)
                 and f"boundary.{end}" in contact.between
-                and kind in ("air", "flux")
+                and kind in (BoundaryKind.AIR, BoundaryKind.FLUX)
             ):
                 found = say("press-contact-cannot-part", boundary=f"boundary.{end}", kind=kind)
                 raise ValueError(_of(f"contact.{i}.open", list(contact.open), found))

@@ -35,7 +35,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from daq.address import Address, text_without
 from daq.drivers.settings import LoggerSettings
 from daq.press.header import check_header
-from daq.press.press_file import Press, overridden, read_press
+from daq.press.press_file import BoundaryKind, Press, overridden, read_press
 from daq.press.resin_file import read_resin
 from daq.press.wires import CLOSED, Wires
 from daq.records import InputError
@@ -315,7 +315,7 @@ def check_columns(settings: PressSettings, press: Press, where: str) -> None:
 
     ends = (("bottom", press.boundary.bottom), ("top", press.boundary.top))
     for end, boundary in ends:
-        if boundary.kind == "measured" and boundary.column not in settings.columns:
+        if boundary.kind is BoundaryKind.MEASURED and boundary.column not in settings.columns:
             file = str(settings.file)
             refuse(say("config-no-boundary-channel", channel=boundary.column or "", end=end, file=file))
     table = press.press

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.press.press_file import Press
+from daq.press.press_file import BoundaryKind, Press
 from daq.printed import on_screen
 from daq.records import Array
 from softsensor.effects import conductivity_offset
@@ -137,7 +137,7 @@ def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> It
     if press.panel_layers:
         yield Unknown("initial_K", 0.0, START_K)
     for end, boundary in press.boundary.ends:
-        if boundary.kind == "measured":
+        if boundary.kind is BoundaryKind.MEASURED:
             yield Unknown(f"boundary_{end}_K", 0.0, PLATEN_K)
     for key, sd in spreads.items():
         yield Unknown(f"share {key}", 0.0, sd, share_of=key)

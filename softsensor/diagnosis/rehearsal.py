@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from daq.press.press_file import Press
+from daq.press.press_file import BoundaryKind, Press
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.diagnosis.extension import RunState, own_constants
@@ -347,7 +347,7 @@ def _values(campaign: Campaign, model: ThermalModel, hidden: Hidden, rng: np.ran
         drawn = level * float(np.exp(campaign.spread.get(name, 0.0) * rng.normal()))
         values[name] = drawn if table.fixed else float(np.clip(drawn, table.lower, table.upper))
     for end in ("bottom", "top"):
-        if getattr(campaign.press.boundary, end).kind == "measured":
+        if getattr(campaign.press.boundary, end).kind is BoundaryKind.MEASURED:
             values[f"boundary_{end}_K"] = PLATEN_K * rng.normal()
     for effect in model.effects:
         for p in effect.parameters:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.press.moments import BEFORE_S
-from daq.press.press_file import Press
+from daq.press.press_file import InitialKind, Press
 from daq.records import Array, Moments, Run
 from daq.words import Message, say, spoken
 from softsensor.fitting.unknowns import gaps_at_moments
@@ -86,7 +86,7 @@ def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
 
 def start_remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
     """Say that the header's start temperature is not what the panel's channels read at the beginning."""
-    if case.panel is None or case.press.initial.kind != "steady":
+    if case.panel is None or case.press.initial.kind is not InitialKind.STEADY:
         return []
     faces = [p for p in signals.places if p.label.partition("@")[0].partition(".")[0] in case.press.panel_layers]
     t, start = signals.time_s, case.panel.initial_temperature

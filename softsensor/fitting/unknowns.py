@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.press.press_file import Press
+from daq.press.press_file import BoundaryKind, InitialKind, Press
 from daq.records import Array, Moments
 from daq.words import Message, say
 from softsensor.fitting.problem import EVERYWHERE, PlaceUnknown
@@ -89,10 +89,10 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
     press = case.press
     if press.has_states:
         unknowns += _moment_priors(case, period)
-    if press.panel_layers or press.initial.kind != "steady":
+    if press.panel_layers or press.initial.kind is not InitialKind.STEADY:
         unknowns.append(nuisance("initial_K", START_K, 10 * START_K))
     for end, boundary in press.boundary.ends:
-        if boundary.kind == "measured":
+        if boundary.kind is BoundaryKind.MEASURED:
             unknowns.append(nuisance(f"boundary_{end}_K", PLATEN_K, 10 * PLATEN_K))
     for place in signals.places:
         n = len(place.columns)

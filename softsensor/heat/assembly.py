@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.press.press_file import Contact, Press
+from daq.press.press_file import BoundaryKind, Contact, Press
 from daq.printed import on_screen
 from daq.records import Array, InputError, Panel
 from daq.words import say
@@ -93,7 +93,9 @@ class Layout:
             parts=np.array(parts, dtype=bool),
             bare=np.arange(len(interface)) >= len(press.contact),
             spots=tuple(spots),
-            measured=np.array([b.kind == "measured" for b in (press.boundary.bottom, press.boundary.top)]),
+            measured=np.array(
+                [b.kind is BoundaryKind.MEASURED for b in (press.boundary.bottom, press.boundary.top)]
+            ),
             flux=flux,
             radiates=bool((flux[:, 1] > 0).any()),
             zeros=np.zeros(n),
@@ -267,15 +269,15 @@ def _contacts(press: Press, mesh: Mesh) -> tuple[list[int], list[bool], list[Spo
     interfaces = _interfaces(press, mesh)
     parts = [isinstance(c.open, tuple) for c in press.contact]
     ends = {"boundary.bottom": press.boundary.bottom, "boundary.top": press.boundary.top}
-    insulated = {name for name, end in ends.items() if end.kind == "insulated"}
+    insulated = {name for name, end in ends.items() if end.kind is BoundaryKind.INSULATED}
     spots = [x for m, c in enumerate(press.contact) if not insulated & set(c.between) for x in _spots(press, m, c)]
     for j, side, boundary in ((0, 1, press.boundary.bottom), (len(mesh.dx), 2, press.boundary.top)):
-        if boundary.kind == "measured":
+        if boundary.kind is BoundaryKind.MEASURED:
             continue
         if j not in interfaces:
             interfaces.append(j)
             parts.append(False)
-        if boundary.coefficient is not None and boundary.kind != "insulated":
+        if boundary.coefficient is not None and boundary.kind is not BoundaryKind.INSULATED:
             spots += [(interfaces.index(j), state, side, boundary.coefficient) for state in range(3)]
     return interfaces, parts, spots
 
@@ -302,8 +304,8 @@ def _flux_table(press: Press, ambient: float) -> Array:
     rows = []
     for boundary in (press.boundary.bottom, press.boundary.top):
         surroundings = ambient if boundary.ambient_C is None else boundary.ambient_C
-        absorbed = boundary.absorptivity * boundary.incident_W_m2 if boundary.kind == "flux" else 0.0
-        radiates = boundary.kind in ("flux", "air")
+        absorbed = boundary.absorptivity * boundary.incident_W_m2 if boundary.kind is BoundaryKind.FLUX else 0.0
+        radiates = boundary.kind in (BoundaryKind.FLUX, BoundaryKind.AIR)
         rows.append((absorbed, boundary.emissivity if radiates else 0.0, surroundings))
     return np.array(rows)
 

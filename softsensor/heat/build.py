@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.press.press_file import InitialKind
 from daq.records import NoSteadyState
 from daq.words import say
 from softsensor.effects import Terms
@@ -91,7 +92,7 @@ def _start(
     state = _empty_state(case, request, p)
     initial, panel = case.press.initial, case.layout.panel
     shift, names = request.values.get("initial_K", 0.0), request.names
-    if initial.kind == "steady":
+    if initial.kind is InitialKind.STEADY:
         still, held = _at_rest(case, request, drive), _held(case, shift, names, p)
         cell = implicit_steps.rest(stack, tangents, still, held, state)
         if cell >= 0:
@@ -100,7 +101,7 @@ def _start(
         for name, terms in request.d_terms.items():
             state.s[names.index(name), ~panel] += float(terms.plates_offset)
     else:
-        if initial.kind == "uniform":
+        if initial.kind is InitialKind.UNIFORM:
             state.t[:] = _uniform(case)
         else:
             first_profile.in_height(case, state)

@@ -22,7 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.press.press_file import At, Press
+from daq.press.press_file import At, BoundaryKind, InitialKind, Press
 from daq.records import Array, InputError, Panel, Run
 from daq.words import say
 from softsensor.effects import Terms
@@ -103,7 +103,7 @@ class Resistance:
 
 def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
     """Return how far from rest the start may be in each gap: anywhere between its readings, width/√12. [K]"""
-    if press.initial.kind != "sensors":
+    if press.initial.kind is not InitialKind.SENSORS:
         return {}
     places: list[tuple[float, float]] = []
     top = 0.0
@@ -121,7 +121,11 @@ def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
         places += [(height, float(np.mean(values))) for height, values in sorted(read.items())]
         top += thickness
     for (_, end), height, index in zip(press.boundary.ends, (0.0, top), (0, len(places) + 1), strict=True):
-        if end.kind == "measured" and end.column is not None and np.isfinite(first := _first(run, end.column)):
+        if (
+            end.kind is BoundaryKind.MEASURED
+            and end.column is not None
+            and np.isfinite(first := _first(run, end.column))
+        ):
             places.insert(index, (height, first))
     gaps = enumerate(pairwise(places))
     return {f"start_{i}_K": abs(b - a) / np.sqrt(12.0) for i, ((low, a), (high, b)) in gaps if high > low}

@@ -52,7 +52,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.press.press_file import Press
+from daq.press.press_file import InitialKind, Press
 from daq.records import InputError, Moments, Nonphysical, PressState, Run
 from daq.words import say
 from softsensor.effects import Conversion, Effect, Scene, Terms, find_effect, on_panel
@@ -256,7 +256,7 @@ class ThermalModel:
         check_values(limits, values)
         if unknown := [name for name in tangents if name not in limits]:
             raise InputError(say("parameter-unknown", name=unknown[0], known=tuple(limits)))
-        if case.press.initial.kind == "sensors":
+        if case.press.initial.kind is InitialKind.SENSORS:
             check_first_readings(case.run, case.press.panel_layers, case.fitted_places, case.labels)
 
     @cached_property

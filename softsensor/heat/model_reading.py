@@ -8,7 +8,6 @@ nothing outside is ever written by one, and draws about a model are held to the 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -32,6 +31,7 @@ from softsensor.heat.model_file import (
     Sisters,
     SisterScatter,
 )
+from softsensor.heat.run_checks import LARGEST
 
 _ROUNDING = 1e-6
 """By how much a covariance may miss being symmetric, and correlations may exceed 1: what rounding leaves."""
@@ -189,9 +189,7 @@ def check_model(model: ModelFile, source: str | Message) -> None:
     _check_covariance(model.names, model.covariance, keys, source)
     for key, scatter in model.scatter.items():
         limits = LIMITS.get(key)
-        most = (
-            limits.upper / limits.lower - 1.0 if limits is not None and limits.lower > 0.0 else sys.float_info.max
-        )
+        most = limits.upper / limits.lower - 1.0 if limits is not None and limits.lower > 0.0 else LARGEST
         if not 0.0 < number_of(scatter.sd) <= most:
             value = in_short(scatter.sd)
             raise InputError(say("model-file-scatter", file=source, key=key, value=value, most=most))

@@ -6,13 +6,12 @@ Every refusal is an error of its own name (`daq.records`), a line that says file
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.press.press_file import Boundary, Load, Press
+from daq.press.press_file import Boundary, BoundaryKind, Load, Press
 from daq.records import (
     COLDEST_C,
     HOTTEST_C,
@@ -28,6 +27,8 @@ from daq.words import Argument, Message, say
 from softsensor.effects.effect import Effect
 from softsensor.heat.timing import OPENING_RAMP_S
 
+LARGEST = float(np.finfo(float).max)
+"""The largest number that a model can hold."""
 MAX_BRIDGE_S = 10.0
 """Missing cells of a boundary column are bridged by a straight line up to this long; the live sensor, which cannot
 know what comes, holds the last reading as long. Set by hand, 2026-11. [s]"""
@@ -56,7 +57,7 @@ def check_times(press: Press, run: Run, moments: Moments) -> None:
         i = int(wrong[0])
         time, before = f"{t[i + 1]:g}", f"{t[i]:g}"
         raise BrokenTime(say("run-times-fall", run=where, time=time, before=before, row=i + 2))
-    measured = "measured" in (press.boundary.bottom.kind, press.boundary.top.kind)
+    measured = BoundaryKind.MEASURED in (press.boundary.bottom.kind, press.boundary.top.kind)
     i = int(np.argmax(steps))
     if measured and steps[i] > MAX_GAP_S:
         seconds = float(steps[i])
@@ -93,9 +94,8 @@ def value_limits(
     effects: Iterable[Effect], coefficients: Iterable[str], nuisances: Iterable[str]
 ) -> dict[str, tuple[float, float]]:
     """Return what each parameter of a model can be at all."""
-    largest = sys.float_info.max
-    own = {e.key(p.name): (max(p.least, -largest), min(p.most, largest)) for e in effects for p in e.parameters}
-    return dict.fromkeys(coefficients, (0.0, largest)) | own | dict.fromkeys(nuisances, (-largest, largest))
+    own = {e.key(p.name): (max(p.least, -LARGEST), min(p.most, LARGEST)) for e in effects for p in e.parameters}
+    return dict.fromkeys(coefficients, (0.0, LARGEST)) | own | dict.fromkeys(nuisances, (-LARGEST, LARGEST))
 
 
 def check_values(limits: Mapping[str, tuple[float, float]], values: Mapping[str, float]) -> None:
@@ -115,13 +115,9 @@ def check_values(limits: Mapping[str, tuple[float, float]], values: Mapping[str,
 def _limited(name: str, value: str, least: float, most: float) -> Message:
     """Say what a value must be; limits as large as numbers can be are none."""
     given = {"name": name, "value": value}
-    if least <= -sys.float_info.max:
-        return (
-            say("value-not-finite", **given)
-            if most >= sys.float_info.max
-            else say("value-at-most", most=most, **given)
-        )
-    if most >= sys.float_info.max:
+    if least <= -LARGEST:
+        return say("value-not-finite", **given) if most >= LARGEST else say("value-at-most", most=most, **given)
+    if most >= LARGEST:
         return say("value-at-least", least=least, **given)
     return say("value-between", least=least, most=most, **given)
 
@@ -214,7 +210,7 @@ def load_remarks(press: Press, run: Run) -> list[Message]:
 
 def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
     """Return a measured boundary's temperature at every row, short gaps bridged (rows). [°C]"""
-    if boundary.kind != "measured":
+    if boundary.kind is not BoundaryKind.MEASURED:
         return np.zeros(len(run.time_s))
     column = boundary.column or ""
     where = run.source or run.name

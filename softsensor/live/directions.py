@@ -27,7 +27,7 @@ import numpy as np
 
 from daq.materials import GRAIN_SD, is_solid_wood
 from daq.press.header import listed_constants
-from daq.press.press_file import SD, Press
+from daq.press.press_file import SD, BoundaryKind, Press
 from daq.records import Array, Panel, Run
 from softsensor.heat.assembly import layer_constants
 from softsensor.heat.build import Build
@@ -256,7 +256,7 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
     k = 2.0 * half / sum(d / k for d, k, _ in parts)
     # at rest a source q per kelvin and volume takes q half^2 / 2 k of the rise of a core between two faces, and
     # three times that where one end is insulated: all of it must flow out through the other (k T" = q T)
-    ways = 3.0 if "insulated" in (press.boundary.bottom.kind, press.boundary.top.kind) else 1.0
+    ways = 3.0 if BoundaryKind.INSULATED in (press.boundary.bottom.kind, press.boundary.top.kind) else 1.0
     exchange = 2.0 * k / half**2 / ways
     rim = 2.0 * math.sqrt(math.pi / press.press.area_m2)  # of a round stack, over its area [1/m]
     share = math.hypot(share, press.press.side_loss_W_m2K * rim / exchange)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from daq.press.press_file import Press
+from daq.press.press_file import BoundaryKind, Press
 from softsensor.heat.run_checks import MAX_BRIDGE_S
 
 
@@ -25,12 +25,12 @@ class HeldPlatens:
     def measured(self) -> tuple[float, ...]:
         """Those that are measured, as far as they are known. [°C]"""
         both = zip(self._ends, self._values, strict=True)
-        return tuple(value for end, value in both if end.kind == "measured" and value == value)
+        return tuple(value for end, value in both if end.kind is BoundaryKind.MEASURED and value == value)
 
     def note(self, time_s: float, values: Mapping[str, float]) -> bool:
         """Take a scan; return whether both are known at all."""
         for side, end in enumerate(self._ends):
-            value = values.get(end.column or "", math.nan) if end.kind == "measured" else 0.0
+            value = values.get(end.column or "", math.nan) if end.kind is BoundaryKind.MEASURED else 0.0
             if value == value:
                 self._values[side], self._read_s[side] = value, time_s
         return all(value == value for value in self._values)

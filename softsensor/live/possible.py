@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from daq.press.header import panel_of
-from daq.press.press_file import Boundary, Press
+from daq.press.press_file import Boundary, BoundaryKind, InitialKind, Press
 from daq.records import Run
 from softsensor.effects import catalogue
 from softsensor.heat.step_terms import STEFAN_BOLTZMANN, ZERO_C
@@ -37,7 +37,7 @@ class Possible:
         ends, ambient = (press.boundary.bottom, press.boundary.top), run.ambient_temperature
         known = [ambient, *(end.ambient_C for end in ends if end.ambient_C is not None), setup.start_C]
         known += [] if press.initial.temperature_C is None else [press.initial.temperature_C]
-        if press.initial.kind == "sensors":
+        if press.initial.kind is InitialKind.SENSORS:
             known += [float(run.columns[name][0]) for name in setup.columns]
         known = [t for t in known if math.isfinite(t)]
         self.lowest_C = min(known) - SLACK_K
@@ -64,7 +64,7 @@ class Possible:
 
 def _by_radiation(end: Boundary, ambient: float) -> float:
     """Return what a face under a flux reaches if nothing but its own radiation cools it. [°C]"""
-    if end.kind != "flux":
+    if end.kind is not BoundaryKind.FLUX:
         return ambient
     if end.emissivity <= 0.0:
         return math.inf

@@ -15,7 +15,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from daq.press.press_file import Press
+from daq.press.press_file import BoundaryKind, Press
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue, find_effect, paper_layer
 from softsensor.effects.parameters import Parameter
@@ -197,7 +197,7 @@ def nuisance_priors(
     """Return what else biases the faces' readings, but for effects the model in force already holds."""
     priors = [Unknown("initial_K", 0.0, initial_sd)]
     for side, boundary in press.boundary.ends:
-        if boundary.kind == "measured":
+        if boundary.kind is BoundaryKind.MEASURED:
             priors.append(Unknown(f"boundary_{side}_K", 0.0, PLATEN_TOTAL_K))
     for effect in catalogue().values():
         if effect.live.role is not Role.SCATTER or effect.measuring or effect.layers or effect.name in known:

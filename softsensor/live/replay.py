@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from daq.press.header import panel_of
-from daq.press.press_file import Press, press_for_run
+from daq.press.press_file import BoundaryKind, Press, press_for_run
 from daq.press.resin_file import Resin
 from daq.records import InputError, Run
 from daq.tables import at
@@ -97,7 +97,7 @@ def _check(press: Press, run: Run, columns: Collection[str], *, with_resin: bool
     own = press_for_run(press, run)
     for end in ("bottom", "top"):
         boundary = getattr(own.boundary, end)
-        if boundary.kind == "measured" and boundary.column not in columns:
+        if boundary.kind is BoundaryKind.MEASURED and boundary.column not in columns:
             raise InputError(
                 say(
                     "boundary-column-missing",

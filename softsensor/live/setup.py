@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.press.header import panel_of
-from daq.press.press_file import SD, Press
+from daq.press.press_file import SD, InitialKind, Press
 from daq.records import Array, Moments, Run
 from softsensor.effects import Role, find_effect
 from softsensor.heat import implicit_steps as kernels
@@ -205,7 +205,7 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
             build.tangents.c[names.index(SKIN), i] += 1.0 / case.mesh.dx[i]
     for direction in setup.directions:
         direction.tangents(names.index(direction.prior.name), case, build)
-    if case.press.initial.kind == "sensors":
+    if case.press.initial.kind is InitialKind.SENSORS:
         build = build.begun_at_rest(case)
     model = _model(setup, case, build, names, units, by_load)
     start = case.panel.initial_temperature if case.panel is not None else float(model.state.t.mean())

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from daq.materials import TABLE_SD, Constant, find_material
-from daq.press.press_file import SD, At, Boundary, Layer, Press
+from daq.press.press_file import SD, At, Boundary, BoundaryKind, Layer, Press
 from daq.records import ROOM_C
 from softsensor.signals.instrument import START_TOTAL_K
 
@@ -193,16 +193,16 @@ def _layer(header: Mapping[str, Any], layer: Layer) -> Iterator[tuple[str, Doubt
 def _boundary(header: Mapping[str, Any], end: str, boundary: Boundary) -> Iterator[tuple[str, Doubt]]:
     own = dict(boundary.sd)
     names: dict[str, float] = {}
-    if boundary.kind == "flux":
+    if boundary.kind is BoundaryKind.FLUX:
         value = _number(header.get(f"boundary.{end}.incident_W_m2", boundary.incident_W_m2)) or 0.0
         names = {"incident_W_m2": INCIDENT_SHARE * abs(value), "absorptivity": ABSORPTIVITY}
-    if boundary.kind in ("flux", "air"):
+    if boundary.kind in (BoundaryKind.FLUX, BoundaryKind.AIR):
         names["emissivity"] = ABSORPTIVITY
     for name, sd in names.items():
         if (number := getattr(boundary, name)) > 0.0:
             key = f"boundary.{end}.{name}"
             yield key, _of_press(header, key, number, own, sd)
-    if boundary.kind in ("flux", "air") and boundary.ambient_C is not None:
+    if boundary.kind in (BoundaryKind.FLUX, BoundaryKind.AIR) and boundary.ambient_C is not None:
         key = f"boundary.{end}.ambient_C"
         yield key, _of_press(header, key, boundary.ambient_C, own, AMBIENT_K)
 

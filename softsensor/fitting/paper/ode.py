@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.compiled import compiled
+from daq.press.press_file import BoundaryKind
 from daq.records import Array, InputError
 from daq.words import say
 from softsensor.heat.case import Case
@@ -87,7 +88,7 @@ def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tu
     """
     ends = (case.press.boundary.bottom, case.press.boundary.top)
     for end, boundary in zip(("bottom", "top"), ends, strict=True):
-        if boundary.kind != "measured":
+        if boundary.kind is not BoundaryKind.MEASURED:
             raise InputError(say("paper-boundary-not-measured", boundary=f"boundary.{end}", kind=boundary.kind))
     probe = {n: 1.0 + i for i, n in enumerate(case.press.coefficient_names)}
     stack = model.build(case, probe).stack
