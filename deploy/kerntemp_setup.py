@@ -136,8 +136,8 @@ def run(*command: str | Path, **options: Any) -> str:
     """Run a command; raises `Refused` with its last line where it fails."""
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, **options)
     if done.returncode != 0:
-        told = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
-        why = told[-1] if told else f"status {done.returncode}"
+        lines = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+        why = lines[-1] if lines else f"status {done.returncode}"
         raise Refused(words("setup-command-failed", name=Path(command[0]).name, why=why))
     return done.stdout.strip()
 
@@ -152,10 +152,10 @@ def as_service(place: Place, version: str, *command: str) -> str:
     """Run a program of a version as the service's user, with its home and caches."""
     line = [str(place.code / version / "bin" / command[0]), *command[1:]]
     own = {"NUMBA_CACHE_DIR": place.cache, "MPLCONFIGDIR": place.cache / "matplotlib", "HOME": place.data}
-    told = {name: str(path) for name, path in own.items()}
+    environment = {name: str(path) for name, path in own.items()}
     if place.root == Path("/"):
-        line = ["runuser", "-u", "kerntemp", "--", "env", *(f"{k}={v}" for k, v in told.items()), *line]
-    return run(*line, cwd=place.data, env={**os.environ, **told})
+        line = ["runuser", "-u", "kerntemp", "--", "env", *(f"{k}={v}" for k, v in environment.items()), *line]
+    return run(*line, cwd=place.data, env={**os.environ, **environment})
 
 
 # --- a version's code -----------------------------------------------------------------------------------
@@ -169,10 +169,10 @@ def version_of(wheel: Path) -> str:
             lines = archive.read(name).decode().splitlines()
     except (OSError, zipfile.BadZipFile, StopIteration) as error:
         raise Refused(words("setup-no-wheel", file=wheel)) from error
-    told = dict(line.split(": ", 1) for line in lines if line.startswith(("Name: ", "Version: ")))
-    if told.get("Name") != "kerntemp":
-        raise Refused(words("setup-other-wheel", file=wheel, name=told.get("Name")))
-    return told["Version"]
+    metadata = dict(line.split(": ", 1) for line in lines if line.startswith(("Name: ", "Version: ")))
+    if metadata.get("Name") != "kerntemp":
+        raise Refused(words("setup-other-wheel", file=wheel, name=metadata.get("Name")))
+    return metadata["Version"]
 
 
 def make_environment(folder: Path) -> None:
@@ -211,9 +211,9 @@ def put_version(place: Place, wheel: Path, wheels: Path | None) -> str:
     try:
         make_environment(target)
         put_packages(target, f"{wheel}[{place.extras}]", wheels)
-        told = run(target / "bin/kerntemp", "--version")
-        if version not in told:
-            raise Refused(words("setup-other-version", told=told, version=version))
+        found = run(target / "bin/kerntemp", "--version")
+        if version not in found:
+            raise Refused(words("setup-other-version", found=found, version=version))
     except Refused:
         shutil.rmtree(target, ignore_errors=True)
         raise
@@ -248,8 +248,8 @@ def store_file(place: Place, version: str) -> Path | None:
         "from daq.store.database import store_url; url = store_url(load_config(Path(sys.argv[1])).store.url); "
         "print(url.database if url.get_backend_name() == 'sqlite' else '')"
     )
-    told = as_service(place, version, "python", "-I", "-c", question, str(place.config))
-    return place.data / told if told else None
+    folder = as_service(place, version, "python", "-I", "-c", question, str(place.config))
+    return place.data / folder if folder else None
 
 
 def switch(place: Place, version: str) -> None:

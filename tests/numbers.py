@@ -117,9 +117,9 @@ def _source_of(call: ast.Call) -> str:
 
 def _words(node: ast.stmt, after: ast.stmt | None, lines: list[str]) -> str:
     """Return what stands of a statement in the docstring below it, in its comment and in one above it."""
-    said = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+    remark = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
     above, own = lines[node.lineno - 2], lines[node.lineno - 1].partition("#")[2]
-    return str(said) + own + (above if above.lstrip().startswith("#") else "")
+    return str(remark) + own + (above if above.lstrip().startswith("#") else "")
 
 
 def _bare(value: ast.AST, sourced: Container[ast.AST]) -> bool:

@@ -259,8 +259,8 @@ class Publisher:
             if own is not None and sha256(json_bytes(own.body)).digest() == one.sum:
                 arrived[place] = one.number
             else:
-                said = say("plant-retained-foreign", press=place[0], kind=place[1], number=str(one.number)[:20])
-                self._store.log("warning", PROCESS, said, place[0])
+                message = say("plant-retained-foreign", press=place[0], kind=place[1], number=str(one.number)[:20])
+                self._store.log("warning", PROCESS, message, place[0])
         return arrived
 
     def _send_waiting(self, broker: Broker) -> bool:

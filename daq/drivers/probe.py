@@ -39,7 +39,7 @@ from daq.words import Message, say, spoken
 TIMEOUT_S = 0.3
 """Longest wait for a reply while it is looked what is on a wire: what slow profiles take. [s]"""
 BAUD = 9600
-"""Of a serial line of which nothing is said: as most loggers leave the factory (the profiles)."""
+"""Of a serial line of which nothing is stated: as most loggers leave the factory (the profiles)."""
 ROOMS_C = (5.0, 45.0)
 """Where loggers are set up: from an unheated hall in winter to one beside a hot press in summer. [°C]"""
 _DRAIN_S, _TURN_S = 0.3, 0.005

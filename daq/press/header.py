@@ -62,7 +62,7 @@ VERDICT = "panel.verdict"
 CONSTANTS = ("panel.density_kg_m3", "panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """What the material table has of a panel."""
 USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
-"""What is reckoned with where nothing is said of the panel."""
+"""What is reckoned with where nothing is stated of the panel."""
 TABLES = ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """Numbers in whose place a table in temperature may stand: rows of °C and value."""
 TEMPERATURE = "setting.platen_temperature_C"

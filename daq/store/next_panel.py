@@ -73,7 +73,7 @@ def recipes(connection: Connection) -> dict[str, dict[str, Any]]:
 
 
 def _header(damaged: Message, text: str, name: str) -> dict[str, Any]:
-    """Return header keys as they were said; raises `ScansUnreadable` where they or the name are damaged."""
+    """Return header keys as they were stated; raises `ScansUnreadable` where they or the name are damaged."""
     try:
         if is_sound(text) and is_sound(name):
             return header_of(text)

@@ -1,6 +1,6 @@
 """What Kerntemp says: codes with arguments, put into words by the face that shows them.
 
-A sentence is never built where it arises. There, `say` names a code and its arguments; a file a language
+A sentence is never built where it arises. There, `say` makes a `Message`, a code with arguments; a file a language
 (``en.ftl``, ``de.ftl``) holds the words, with plurals and digits, in the syntax of Project Fluent, which Python
 and the page both read. To add a language, add its file. `daq.words.message.words` puts a message into a language;
 ``str(message)`` is English, for logs, but where a notebook chose another language (`daq.speak`).

@@ -71,7 +71,7 @@ class Message:
 
 
 def say(code: str, **arguments: Argument) -> Message:
-    """Return the message of a code; a test holds every call against all catalogues.
+    """Make the `Message` of a code and its arguments, not yet in words; a test holds calls against all catalogues.
 
     Examples
     --------
@@ -82,7 +82,7 @@ def say(code: str, **arguments: Argument) -> Message:
 
 
 def spoken(reason: object) -> Message:
-    """Return what an exception or a text says as a message; a plain text becomes one that shows it as it is."""
+    """Return the message that an exception carries; a plain text becomes one that shows it as it is."""
     inner = reason.args[0] if isinstance(reason, BaseException) and len(reason.args) == 1 else reason
     return inner if isinstance(inner, Message) else Message("plain-text", {"text": str(inner)})
 

@@ -28,7 +28,7 @@ MEASURED, CORE, TOP, BOTTOM = "#17202b", "#c92a2a", "#e8590c", "#1c7ed6"
 
 
 def predicted(folder: Path) -> tuple[Run, np.ndarray, np.ndarray]:
-    """Return the last run, what the live sensor said about it, and the virtual press's true core."""
+    """Return the last run, the live estimates of it, and the virtual press's true core."""
     plan = Plan(rate_hz=5.0, thickness_mm=16.0, closed_column=False, core_column=1.0, press_time_s=(60.0, 110.0))
     campaign = make_campaign(SEED, RUNS, plan=plan)
     files = [str(path) for path in write_campaign(folder, campaign)]

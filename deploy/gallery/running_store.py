@@ -31,7 +31,7 @@ recorder.start()
 # says at once what the core is doing; row i rests on nothing later than scan i.
 
 # %%
-said = []
+live = []
 while not url.exists():
     time.sleep(0.02)
 with daq.open_store(url) as store:
@@ -42,22 +42,22 @@ with daq.open_store(url) as store:
     done = False
     while not done:
         done = store.runs().loc[name, "status"] != "open"
-        for time_s, row in store.samples(name).iloc[len(said) :].iterrows():
-            said.append(sensor.update(time_s, row.to_dict()))
+        for time_s, row in store.samples(name).iloc[len(live) :].iterrows():
+            live.append(sensor.update(time_s, row.to_dict()))
         time.sleep(0.05)
 recorder.join()
-newest = said[-1]
+newest = live[-1]
 print(f"{newest.state} after {newest.time_s:.0f} s: core {newest.core_C:.1f} °C")
 
 # %%
 import matplotlib.pyplot as plt
 
 figure, ax = plt.subplots(figsize=(8, 4), layout="constrained")
-times = [e.time_s for e in said]
+times = [e.time_s for e in live]
 ax.fill_between(
-    times, [e.core_low_C for e in said], [e.core_high_C for e in said], alpha=0.25, lw=0, label="95 % band"
+    times, [e.core_low_C for e in live], [e.core_high_C for e in live], alpha=0.25, lw=0, label="95 % band"
 )
-ax.plot(times, [e.core_C for e in said], label="core, as said live")
+ax.plot(times, [e.core_C for e in live], label="core, as said live")
 ax.set(xlabel="time of the run [s]", ylabel="temperature [°C]", title="The core while the recorder was writing")
 legend = ax.legend(frameon=False)
 
@@ -66,5 +66,5 @@ legend = ax.legend(frameon=False)
 
 # %%
 again = softsensor.predict(played, press).frame()
-assert len(again) == len(said)
-assert max(abs(again["core_C"].to_numpy() - [e.core_C for e in said])) < 1e-6
+assert len(again) == len(live)
+assert max(abs(again["core_C"].to_numpy() - [e.core_C for e in live])) < 1e-6

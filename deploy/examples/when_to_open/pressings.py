@@ -6,7 +6,7 @@
 The virtual press is the truth: it integrates heat and cure by its own equations on its own mesh. From pressing to
 pressing its contacts scatter by 12 %, conductivity, heat capacity and the paper's rate by 5 %, its activation
 energy by 3 %, platens read off by 1 K (standard deviations), and their set point is one of 180 to 210 °C. Kerntemp
-is told the mean of all that and how far it scatters, sees what 16 thermocouples read at 2 Hz, and must keep a cure
+is given the mean of all and how far it scatters, sees what 16 thermocouples read at 2 Hz, and must keep a cure
 of 85 % at both faces with 97.5 %. What is hidden (`--hide`) nobody tells it.
 
 The fixed press time is the shortest that leaves no more of these panels undercured than Kerntemp did: found
@@ -60,7 +60,7 @@ FINE_S = 0.05
 
 
 def resin(rate_sd: float = RATE_SD) -> Resin:
-    """Return what Kerntemp is told of the paper: the mean, and how far papers scatter."""
+    """Return what Kerntemp is given of the paper: the mean, and how far papers scatter."""
     return parse_resin(
         f"""
         [resin]
@@ -92,7 +92,7 @@ def headed(run: Run) -> Run:
 
 @dataclass(frozen=True)
 class Pressed:
-    """One pressing, as said and as it was; times in s after closing."""
+    """One pressing, as estimated and as it was; times in s after closing."""
 
     opened: float
     """When Kerntemp said "open now", NaN where it never did."""
@@ -126,21 +126,21 @@ class Pressed:
         return float(self.after[np.argmax(self.least >= LEAST)])
 
 
-def pressed(run: Run, truth: Truth, paper: Paper, told: Resin) -> Pressed:
-    """Return one pressing; `paper` is what really is on the panel, `told` what Kerntemp knows of it."""
-    said = replay(PRESS, headed(run), MODEL, resin=told).estimates
+def pressed(run: Run, truth: Truth, paper: Paper, stated: Resin) -> Pressed:
+    """Return one pressing; `paper` is what really is on the panel, `stated` what Kerntemp knows of it."""
+    estimates = replay(PRESS, headed(run), MODEL, resin=stated).estimates
     solved, closed, panel = solve(truth.pressing), truth.moments.closed_s, truth.pressing.panel
     after = np.arange(0.0, truth.moments.opened_s - closed, FINE_S)
     warmer = solved.at("panel_mean", closed + after) - panel.initial_temperature
     per_kelvin = panel.density * panel.heat_capacity * panel.thickness * PRESS.press.area_m2
-    inside, widths, errors = _band(run, truth, said, cured(solved, paper, run.time_s))
-    of_faces = _band(run, truth, said, cured(solved, PAPER, run.time_s))[2]
+    inside, widths, errors = _band(run, truth, estimates, cured(solved, paper, run.time_s))
+    of_faces = _band(run, truth, estimates, cured(solved, PAPER, run.time_s))[2]
     return Pressed(
-        opened=next((e.time_s - closed for e in said if e.open_now), np.nan),
+        opened=next((e.time_s - closed for e in estimates if e.open_now), np.nan),
         after=after,
         least=np.minimum(*cured(solved, paper, closed + after)),
         heat_kWh=per_kelvin * warmer / 3.6e6,
-        knowing=float(after[np.argmax(_all_but_the_paper(solved, closed + after, told) >= 0.0)]),
+        knowing=float(after[np.argmax(_all_but_the_paper(solved, closed + after, stated) >= 0.0)]),
         inside=float(np.mean(inside)),
         half_width=float(np.sqrt(np.mean(np.square(widths)))),
         error=float(np.sqrt(np.mean(np.square(errors)))),
@@ -148,14 +148,14 @@ def pressed(run: Run, truth: Truth, paper: Paper, told: Resin) -> Pressed:
     )
 
 
-def _all_but_the_paper(solved: SolvedPressing, times: Array, told: Resin) -> Array:
+def _all_but_the_paper(solved: SolvedPressing, times: Array, stated: Resin) -> Array:
     """Return by how much the lower bound of the equivalent time's logarithm passes what the limit takes (t)."""
 
     def log_time(paper: Paper) -> Array:
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(-np.log1p(-np.minimum(*cured(solved, paper, times)))))
 
-    order = told.order
+    order = stated.order
     if order is None or order.rate_per_s is None:
         raise AssertionError("the paper's law is of n-th order")
     usual, by_energy = log_time(PAPER), log_time(replace(PAPER, activation=PAPER.activation * (1.0 + ENERGY_SD)))
@@ -165,11 +165,11 @@ def _all_but_the_paper(solved: SolvedPressing, times: Array, told: Resin) -> Arr
 
 
 def _band(
-    run: Run, truth: Truth, said: Sequence[Estimate], faces: tuple[Array, Array]
+    run: Run, truth: Truth, estimates: Sequence[Estimate], faces: tuple[Array, Array]
 ) -> tuple[list[bool], list[float], list[float]]:
     """Return inside, half-width and error of the band by scan and face, while a face is not yet cured."""
     inside, widths, errors = [], [], []
-    for k, estimate in enumerate(said):
+    for k, estimate in enumerate(estimates):
         after = run.time_s[k] - truth.moments.closed_s
         if estimate.leave is None or estimate.leave.panel is None:
             continue
@@ -192,11 +192,11 @@ def campaign(
     count: int, hidden: str | None = None, rate_sd: float = RATE_SD, first: int = SEED
 ) -> Iterator[Pressed]:
     """Press so many panels; each has a press, a panel and a paper of its own."""
-    told = resin(rate_sd)
+    stated = resin(rate_sd)
     for i in range(count):
         ((run, truth),) = make_campaign(first + i, 1, hidden, PLAN)
         paper = draw_paper(np.random.default_rng([first, 9, i]), rate_sd, ENERGY_SD, PAPER)
-        yield pressed(run, truth, paper, told)
+        yield pressed(run, truth, paper, stated)
 
 
 @dataclass(frozen=True)
