@@ -967,6 +967,10 @@ next-none = None needed; a core thermocouple in one sacrificial panel a month wo
 next-none-confirmed = None needed: core thermocouples confirm it ({ NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off before, { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after).
 next-none-rig = None needed.
 next-tell-apart = To distinguish these causes ({ $causes }): { $confirm }
+note-cells-jump = { $count } of { $runs } runs: { $cells ->
+        [one] a single cell of { $column } jumps by more than { $kelvin } K and was left out
+       *[other] { $cells } single cells of { $column } jump by more than { $kelvin } K and were left out
+    }
 note-channel = { $run }: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
 note-channel-in-runs = { $count } of { $runs } runs: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
 note-refuted-by-cores = core thermocouples rule out { $cause }, although the faces would fit

@@ -15,6 +15,7 @@ from softsensor.diagnosis.selection import Round, cool_rim
 from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called
 from softsensor.signals.screen import ChannelFault
+from softsensor.signals.spikes import SPIKE_K, Spikes
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -94,6 +95,16 @@ def notes(
             )
     refuted = dict.fromkeys(name for r in rounds for name in r.refuted)
     return (*remarks, *(say("note-refuted-by-cores", cause=called(name)) for name in refuted))
+
+
+def spike_notes(spikes: Sequence[tuple[Spikes, ...]]) -> tuple[Message, ...]:
+    """Return one line a platen's channel of which single cells were left out, by run."""
+    columns = sorted({one.column for of_run in spikes for one in of_run})
+    counts = {name: [one.cells for of_run in spikes for one in of_run if one.column == name] for name in columns}
+    return tuple(
+        say("note-cells-jump", count=len(found), runs=len(spikes), column=name, cells=sum(found), kelvin=SPIKE_K)
+        for name, found in counts.items()
+    )
 
 
 def rim_notes(falls: Array) -> tuple[Message, ...]:

@@ -81,7 +81,7 @@ def run_scores(model: ThermalModel, press: Press, runs: Sequence[Run]) -> dict[s
     InputError
         For a run that does not fit the press.
     """
-    stage = settle_base(model, [screened_digest(press, run)[0] for run in runs])
+    stage = settle_base(model, [screened_digest(press, run).digest for run in runs])
     able = {effect.name for effect in candidates_for(stage)} - set(stage.effects)
     return {name: _shown(stage, way) for name, way in ways().items() if way.effect.name in able}
 

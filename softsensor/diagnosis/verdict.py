@@ -59,7 +59,7 @@ import numpy as np
 from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
-from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes
+from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes, spike_notes
 from softsensor.diagnosis.decision import (
     ALPHA_PATTERN,
     Proof,
@@ -94,6 +94,7 @@ from softsensor.heat.run_checks import load_remarks
 from softsensor.signals.digest import Digest, Whitened, screened_digest
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.screen import ChannelFault, recurring
+from softsensor.signals.spikes import Spikes
 
 NOT_A_MODEL = Gain(0.0, None)
 """Of faulty channels: they are left out before anything is fitted."""
@@ -153,19 +154,21 @@ class _Readings:
     press: Press
     runs: Sequence[Run]
     faults: Sequence[tuple[ChannelFault, ...]]
+    spikes: Sequence[tuple[Spikes, ...]]
+    """Cells of platens that were left out, by run."""
     rim: Array
     """By how much rim sensors fall against central ones (runs). [K]"""
 
 
 def _screened(press: Press, runs: Sequence[Run]) -> tuple[_Readings, list[Digest]]:
     """Return the readings, and a digest of each run without its faulty channels."""
-    faults, digests, rim = [], [], []
-    for run in runs:
-        digest, found = screened_digest(press, run)
-        digests.append(digest)
-        rim.append(rim_falls(press, run, digest.moments, frozenset(f.column for f in found)))
-        faults.append(found)
-    return _Readings(press, runs, faults, np.array(rim)), digests
+    found = [screened_digest(press, run) for run in runs]
+    faults = [one.faults for one in found]
+    rim = [
+        rim_falls(press, one.digest.run, one.digest.moments, frozenset(f.column for f in one.faults))
+        for one in found
+    ]
+    return _Readings(press, runs, faults, [one.spikes for one in found], np.array(rim)), [o.digest for o in found]
 
 
 def _lacking_loads(press: Press, runs: Sequence[Run]) -> list[Message]:
@@ -216,7 +219,12 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         stages=tuple(stages[: named + 1]),
         remains=basis.remains[: named + 1],
         rivals=_rivals(rounds),
-        warnings=(*notes(runs, faults, rounds), *rim_notes(readings.rim), *_lacking_loads(press, runs)),
+        warnings=(
+            *notes(runs, faults, rounds),
+            *spike_notes(readings.spikes),
+            *rim_notes(readings.rim),
+            *_lacking_loads(press, runs),
+        ),
     )
 
 

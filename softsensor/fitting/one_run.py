@@ -33,7 +33,7 @@ from softsensor.fitting.problem import (
     rows_with_panel,
     with_motion,
 )
-from softsensor.fitting.remarks import remarks, without_spikes
+from softsensor.fitting.remarks import remarks
 from softsensor.fitting.result import RunFit, channel_residuals, left_still, misfit_of, run_fit
 from softsensor.fitting.simplex import lowest_point
 from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, known_before
@@ -49,6 +49,7 @@ from softsensor.signals.instrument import (
     moment_sd,
 )
 from softsensor.signals.places import Noise, channel_noise, collect_signals, whiten
+from softsensor.signals.spikes import SPIKE_K, without_spikes
 
 FIRST_NOISE = Noise(slow_K=FACE_SLOW_K, slow_s=FACE_SLOW_S, fast_K=0.0, fast_s=CHANNEL_FAST_S, white_K=1.0)
 """For the first steps, while the model is still far off."""
@@ -111,11 +112,12 @@ def fit_run(
     InputError
         For a run without usable channels.
     """
-    run, jumps = without_spikes(model.press, run)
+    run, spikes = without_spikes(model.press, run)
     problem = make_problem(model, run, moments, start, learned)
     if method != "default":
         return _fit_by_the_paper(problem, method, company or ALONE)
     found = _settle(problem)
+    jumps = [say("fit-cells-jump", column=s.column, count=s.cells, kelvin=SPIKE_K) for s in spikes]
     warnings = jumps + remarks(found.problem.case, found.problem.signals, moments)
     fitted = run_fit(found.problem, found.minimum, found.initial, warnings)
     return fitted if company is None else with_verdicts(fitted, company)

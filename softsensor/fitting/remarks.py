@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from daq.press.moments import BEFORE_S
-from daq.press.press_file import InitialKind, Press
-from daq.records import Array, Moments, Run
+from daq.press.press_file import InitialKind
+from daq.records import Moments
 from daq.words import Message, say, spoken
 from softsensor.fitting.unknowns import gaps_at_moments
 from softsensor.heat.case import Case
@@ -27,47 +25,6 @@ LEAD_S = 5.0
 COLD_S, COLD_SHARE = 3.0, 0.03
 """A face laid on a hot plate warms in so many seconds by a sixth of what the plate is hotter than the room; by
 less than this share it has not been laid there."""
-
-SPIKE_K, SPIKE_WINDOW, SPIKE_RATIO = 10.0, 5, 10.0
-"""A boundary cell so far from the median of the cells around it, and so many times as far as usual, was not the
-platen: tons of metal do not move by 10 K for one scan or two."""
-
-
-def without_spikes(press: Press, run: Run) -> tuple[Run, list[Message]]:
-    """Leave out single cells of the measured boundaries that jump and come back; say so.
-
-    Face channels are held against their neighbours (`collect_signals`); a platen has one channel, and a single
-    cell of 150 K in it moves h_p_c by a third.
-
-    Parameters
-    ----------
-    press
-        With the run's overrides applied, or without: only its boundaries' columns are read.
-    run
-        Is not changed.
-    """
-    columns, found = dict(run.columns), []
-    ends = (press.boundary.bottom, press.boundary.top)
-    for name in dict.fromkeys(end.column for end in ends if end.column is not None):
-        if name not in columns:
-            continue
-        values = run.columns[name].copy()
-        there = np.flatnonzero(np.isfinite(values))
-        if len(there) < SPIKE_WINDOW:
-            continue
-        off = np.abs(values[there] - _running_median(values[there]))
-        far = there[off > max(SPIKE_K, SPIKE_RATIO * float(np.median(off)))]
-        if len(far):
-            values[far] = np.nan
-            columns[name] = values
-            found.append(say("fit-cells-jump", column=name, count=len(far), kelvin=SPIKE_K))
-    return (replace(run, columns=columns) if found else run), found
-
-
-def _running_median(values: Array) -> Array:
-    """Return the median of each value and its neighbours, `SPIKE_WINDOW` of them; an end's go on beyond it."""
-    padded = np.pad(values, SPIKE_WINDOW // 2, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, SPIKE_WINDOW), axis=1))
 
 
 def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:

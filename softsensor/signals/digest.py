@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -39,6 +40,7 @@ from softsensor.signals.instrument import (
 from softsensor.signals.moments import Switch, moments_seen, switch_of
 from softsensor.signals.places import Place
 from softsensor.signals.screen import ChannelFault, faces_of, faulty_channels
+from softsensor.signals.spikes import Spikes, without_spikes
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -214,11 +216,23 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
     )
 
 
-def screened_digest(press: Press, run: Run) -> tuple[Digest, tuple[ChannelFault, ...]]:
-    """Return a run boiled down without its faulty channels, and these. Raises InputError as `digest_run`."""
+class Screened(NamedTuple):
+    """A run boiled down, and what was left out before."""
+
+    digest: Digest
+    faults: tuple[ChannelFault, ...]
+    spikes: tuple[Spikes, ...]
+
+
+def screened_digest(press: Press, run: Run) -> Screened:
+    """Boil a run down without its faulty channels and the platens' single bad cells.
+
+    Raises InputError as `digest_run`.
+    """
+    run, spikes = without_spikes(press, run)
     moments = moments_seen(run, press)
     faults = faulty_channels(press, run, moments)
-    return digest_run(press, run, moments, frozenset(fault.column for fault in faults)), faults
+    return Screened(digest_run(press, run, moments, frozenset(f.column for f in faults)), faults, spikes)
 
 
 def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, tuple[str, ...]]:

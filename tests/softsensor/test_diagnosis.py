@@ -535,6 +535,19 @@ def test_panels_that_differ_as_panels_do_are_no_unknown_effect() -> None:
     assert [m.code for m in verdict_messages(found)] == ["verdict-plain-model-explains"]
 
 
+def test_single_bad_cells_of_a_platen_are_no_effect_and_stand_in_a_note() -> None:
+    runs = [run for run, _ in make_campaign(9777000, 6)]
+    spoilt = []
+    for run in runs:
+        platen = run.columns["platen_top"].copy()
+        platen[len(platen) // 2] += 150.0
+        spoilt.append(replace(run, columns={**run.columns, "platen_top": platen}))
+    found = diagnose(press(), spoilt)
+    assert found.verdict is Verdict.NO_EFFECT
+    note = "6 of 6 runs: 6 single cells of platen_top jump by more than 10 K and were left out"
+    assert [str(w) for w in found.warnings if "platen_top" in str(w)] == [note]
+
+
 def test_a_base_meets_a_run_that_its_own_fit_meets_however_far_off_the_guesses_are() -> None:
     """A press file without guesses of its own; begun from the usual ones the run stays 9 K off."""
     plain = parse_press(re.sub(r"\[coefficients[^[]*", "", press_toml()))
