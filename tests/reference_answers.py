@@ -485,7 +485,7 @@ class Verdict:
     ignored: int = 0
     worst: float = 0.0
     """Of the allowed difference: above 1 is beyond."""
-    worst_told: str = ""
+    worst_shown: str = ""
     broken: list[str] = field(default_factory=list)
     texts: list[tuple[str, str, str]] = field(default_factory=list)
     added: list[str] = field(default_factory=list)
@@ -540,7 +540,7 @@ class Verdict:
         if excess > self.worst:
             relative = apart / abs(old) if old else math.inf
             self.worst = excess
-            self.worst_told = f"{apart:.3g} ({relative:.2g} of it) at {place}: {old!r} -> {new!r}"
+            self.worst_shown = f"{apart:.3g} ({relative:.2g} of it) at {place}: {old!r} -> {new!r}"
         if excess > 1.0:
             self.broken.append(f"{place}: {old!r} -> {new!r}")
 
@@ -567,7 +567,7 @@ def compare(old: Path, new: Path, rtol: float, atol: float, shown: int) -> int:
     for v in verdicts:
         mark = "!" if v.broken else " "
         row = f"{v.file:{width}} {v.values:8} {len(v.broken):6} {len(v.texts):5} {len(v.added):5}"
-        print(f"{row} {mark}{v.worst_told or '-'}")
+        print(f"{row} {mark}{v.worst_shown or '-'}")
     _print_more(verdicts, shown)
     wrong = [v for v in verdicts if v.broken]
     if left := len(set(written[old]["files"]) - names):

@@ -77,7 +77,7 @@ class Will:
 
 
 @dataclass(frozen=True)
-class Kept:
+class Retained:
     """What a broker keeps of a list: the number in the message, and the message's sum."""
 
     number: int
@@ -93,7 +93,7 @@ class Broker:
         self._answered = threading.Event()
         self._lost = threading.Event()
         self._reason: Message | None = None
-        self._arrived: dict[str, Kept | None] = {}
+        self._arrived: dict[str, Retained | None] = {}
         """Of the topics asked for, what the broker keeps."""
         self._marker = threading.Event()
         self._client = paho.Client(
@@ -122,7 +122,7 @@ class Broker:
         self._client.loop_start()
         self._wait(self._answered, "plant-broker-not-connected")
 
-    def retained(self, presses: Mapping[str, str]) -> dict[Place, Kept]:
+    def retained(self, presses: Mapping[str, str]) -> dict[Place, Retained]:
         """Ask the broker what it really keeps of every list. Raises `BrokerAway`."""
         marker = self.topic("status", self._settings.client)
         topics = {self.topic(press, kind): (press, kind) for press in presses for kind in KINDS}
@@ -187,7 +187,7 @@ class Broker:
             return
         if message.retain and topic in self._arrived:
             number = _number(message.payload)
-            self._arrived[topic] = None if number is None else Kept(number, sha256(message.payload).digest())
+            self._arrived[topic] = None if number is None else Retained(number, sha256(message.payload).digest())
         elif not message.retain and topic == self.topic("status", self._settings.client):
             self._marker.set()
 
@@ -248,7 +248,7 @@ class Publisher:
         broker.send([(broker.topic("status"), json_bytes(online))])
         self.problem = None
 
-    def _arrived(self, kept: Mapping[Place, Kept]) -> dict[Place, int]:
+    def _arrived(self, kept: Mapping[Place, Retained]) -> dict[Place, int]:
         """Return the numbers of the messages that are this store's to the last byte.
 
         By any other, whoever wrote it, scans would be passed over that no receiver ever got.

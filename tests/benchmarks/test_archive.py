@@ -95,19 +95,19 @@ def test_a_scan_in_the_store_and_in_the_archive(store_url, tmp_path, kept):
         before, read_store = read(store)
         scans_only = bytes_of(store)
         say(store)
-        said_store = (bytes_of(store) - scans_only) / (RUNS * SCANS)
+        estimate_in_store = (bytes_of(store) - scans_only) / (RUNS * SCANS)
         store.use_archive(tmp_path / "archive")
         began = time.perf_counter()
         moved = [store.archive_run(f"lab-{run:02d}") for run in range(RUNS)]
         moving = 1000 * (time.perf_counter() - began) / RUNS
         after, read_archive = read(store)
     sizes = {p: p.stat().st_size for p in (tmp_path / "archive").rglob("*.parquet")}
-    said_archive = sum(n for p, n in sizes.items() if p.name.endswith(ENDING)) / (RUNS * SCANS)
-    in_archive = sum(one.file_bytes for one in moved) / (RUNS * SCANS) - said_archive
+    estimate_in_archive = sum(n for p, n in sizes.items() if p.name.endswith(ENDING)) / (RUNS * SCANS)
+    in_archive = sum(one.file_bytes for one in moved) / (RUNS * SCANS) - estimate_in_archive
     print(f"\n{store.database.dialect}, {RUNS} runs of {SCANS} scans of 16 channels at 0.1 K, {kept.__name__}")
     for what, here, there in (
         ("bytes a scan", in_store, in_archive),
-        ("bytes an estimate", said_store, said_archive),
+        ("bytes an estimate", estimate_in_store, estimate_in_archive),
         ("ms to read a run", read_store, read_archive),
     ):
         print(f"{what:17}  store {here:6.1f}  archive {there:5.2f}  ratio {here / there:.2f}")

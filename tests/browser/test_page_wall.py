@@ -34,7 +34,7 @@ def pressing(served):
 
     def foreseeing(press, estimates):
         beside = {**AHEAD, "forecast_age_s": 0.3, "course": COURSE, "left_out": {"top_3": -71.2}}
-        append(press, [StoredEstimate(*_told(e), detail=beside) for e in estimates])
+        append(press, [StoredEstimate(*_core_of(e), detail=beside) for e in estimates])
 
     feed.store.append_estimates = foreseeing
     beating = threading.Event()
@@ -60,7 +60,7 @@ def pressing(served):
     heart.join(240)
 
 
-def _told(e):
+def _core_of(e):
     core = (e.core_celsius, e.core_sd_kelvin, e.core_low_celsius, e.core_high_celsius)
     return e.number, e.monotonic_s, e.state, *core, e.valid, e.reason, "1"
 

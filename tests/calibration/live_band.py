@@ -394,9 +394,11 @@ def pictured(folder: Path, name: str, rows: Rows) -> None:
     axes = figure.subplots(1, len(starts) - 1, sharey=True, squeeze=False)[0]
     for own, begin, end in zip(axes, starts[:-1], starts[1:], strict=True):
         part = rows.only(np.arange(begin, end)[:: max(1, (end - begin) // 250)])
-        told_C = part.truth + part.error
-        own.fill_between(part.time, told_C - part.half, told_C + part.half, color="#a9cbe6", linewidth=0.0)
-        own.plot(part.time, told_C, color="#1f6fb2", linewidth=1.0, label="predicted, 95 % band")
+        estimated_C = part.truth + part.error
+        own.fill_between(
+            part.time, estimated_C - part.half, estimated_C + part.half, color="#a9cbe6", linewidth=0.0
+        )
+        own.plot(part.time, estimated_C, color="#1f6fb2", linewidth=1.0, label="predicted, 95 % band")
         own.plot(part.time, part.truth, ".", color="#222222", markersize=1.5, label="measured")
         own.set_xlabel("s")
     axes[0].set_ylabel("core, °C")

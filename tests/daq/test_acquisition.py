@@ -110,11 +110,11 @@ def test_a_scan_says_how_many_ticks_went_by_before_it():
     stop.set()
     scanner.join(240.0)
     ticks = (scans[-1].monotonic_s - scans[0].monotonic_s) / 0.05
-    still_untold = scanner.missed_ticks - sum(counts)  # those right after the last scan, where the machine is busy
+    uncounted = scanner.missed_ticks - sum(counts)  # those right after the last scan, where the machine is busy
     assert counts[7] >= 3, "the first scan afterwards is late itself, the next one has ticks before it"
-    assert still_untold >= 0
+    assert uncounted >= 0
     # A scan stands at its tick or, by as many ticks as are then left out and the one it began in, after it.
-    assert -(counts[1] + 1) <= ticks - (11 + sum(counts)) <= still_untold + 1
+    assert -(counts[1] + 1) <= ticks - (11 + sum(counts)) <= uncounted + 1
 
 
 @pytest.mark.parametrize(

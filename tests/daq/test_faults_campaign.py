@@ -215,10 +215,10 @@ def read_into(tally, logger, wired):
         if not quality.usable:
             tally.other_quality[quality] += 1
             continue
-        channel, told_s = channel_and_time(value)
+        channel, converted_s = channel_and_time(value)
         if channel != wired.first + k:
-            tally.mixed.append((wired.first + k, channel, round(told_s, 2), reading))
-        age_s = (reading.received_s - told_s) % PERIOD_S
+            tally.mixed.append((wired.first + k, channel, round(converted_s, 2), reading))
+        age_s = (reading.received_s - converted_s) % PERIOD_S
         slack_s = CLOCK_SLACK_S + wired.step_s
         tally.wrong_time += not (age_s <= took_s + slack_s or age_s >= PERIOD_S - slack_s)
 

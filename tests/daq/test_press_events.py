@@ -223,11 +223,11 @@ def test_a_pressure_channel_closes_above_one_threshold_and_opens_below_another()
     assert [found.closed_s, found.opened_s] == [e.monotonic_s for e in events[1:]]
 
 
-@pytest.mark.parametrize("told_by", ["switch", "pressure", "temperatures"])
-def test_numbers_of_numpy_say_what_plain_ones_say(told_by):
-    run, _ = one_run(closed_column=told_by == "switch")
+@pytest.mark.parametrize("wire", ["switch", "pressure", "temperatures"])
+def test_numbers_of_numpy_say_what_plain_ones_say(wire):
+    run, _ = one_run(closed_column=wire == "switch")
     bar = np.where((run.time_s > 25.0) & (run.time_s < 90.0), 30.0, 1.0)
-    if told_by == "pressure":
+    if wire == "pressure":
         run, press = wired(run, 'pressure = { column = "bar", closed_above = 20.0 }', bar=bar)
     else:
         press = PRESS

@@ -94,7 +94,7 @@ def all_numbers(opened):
     return numbers
 
 
-def _told(call, alarms, before):
+def _reported(call, alarms, before):
     """Whether an error at a call is told: by an alarm of its own, by one before it, or by a driver's gaps."""
     return len(alarms) > before or call[1] in "".join(alarms) or "read" in call[1]
 
@@ -106,7 +106,7 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
     monkeypatch.setattr(recorder, "BEAT_S", 0.1)
     with plant(tmp_path, speed=20.0, rate_hz=1.0) as made, open_store(made.url) as opened:
         injector = Injector(monkeypatch)
-        untold = []
+        unreported = []
 
         def alarms():
             return [str(e.message) for e in opened.journal(level="alarm", limit=200).items]
@@ -126,10 +126,10 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
                 newest = opened.newest_scan_number("lab")
                 wait_until(lambda: opened.newest_scan_number("lab") > newest + 2)
                 at = time.monotonic() + LONGEST_S
-                while not (reported := _told(call, alarms(), before)) and time.monotonic() < at:
+                while not (reported := _reported(call, alarms(), before)) and time.monotonic() < at:
                     time.sleep(0.02)
                 if not reported:
-                    untold.append(call)
+                    unreported.append(call)
                 tried.add(call)
                 return call
 
@@ -140,7 +140,7 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
                 seldom.discard(call)
         print(f"{len(tried)} calls, not {sorted(seldom)}")
         assert len(tried) > 40
-        assert not untold, untold
+        assert not unreported, unreported
         numbers = all_numbers(opened)
         missing = sorted(set(range(numbers[-1] + 1)) - set(numbers))
         assert len(missing) <= 12, "a fault in the scanner costs its own scan at most"
@@ -184,7 +184,7 @@ def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_
     with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
         wait_until(lambda: opened.newest_scan_number("lab") > 5 and "fed" in beats)
         broken.set()
-        first = told_first(beats, "writer")
+        first = reported_first(beats, "writer")
         wait_until(lambda: len(beats) > first + 10)
         broken.clear()
         assert "fed" not in beats[first : first + 10]
@@ -194,7 +194,7 @@ def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_
         assert alarm == say("thread-failed", thread="writer", why=inner)
 
 
-def told_first(beats, what):
+def reported_first(beats, what):
     """Wait for the first sign of life that tells of something; return which it was."""
     wait_until(lambda: any(what in beat for beat in beats))
     return next(i for i, beat in enumerate(beats) if what in beat)
@@ -217,7 +217,7 @@ def test_while_the_check_of_the_file_stands_the_watchdog_is_not_fed_and_health_s
     try:
         with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
             wait_until(reading.is_set)
-            first = told_first(beats, "check of")
+            first = reported_first(beats, "check of")
             wait_until(lambda: len(beats) > first + 5)
             assert "fed" not in beats[first : first + 5]
             wait_until(lambda: "pages-stalled" in str(opened.statuses()[opened.beats_as("record")].status))
@@ -237,7 +237,7 @@ def test_while_idle_scans_are_thinned_signs_of_life_go_on_and_tell_when_it_stand
     monkeypatch.setattr(recorder, "_THIN_S", 0.02)
     monkeypatch.setattr(recorder, "_READING_S", 0.2)
 
-    def told_by(opened):
+    def message_in(opened):
         return opened.statuses()[opened.beats_as("record")].status["message"]
 
     def standing(self, before):
@@ -251,11 +251,11 @@ def test_while_idle_scans_are_thinned_signs_of_life_go_on_and_tell_when_it_stand
             wait_until(thinning.is_set)
             newest, fed = opened.newest_scan_number("lab"), len(beats)
             wait_until(lambda: len(beats) > fed + 5 and opened.newest_scan_number("lab") > newest)
-            wait_until(lambda: "thinning: no progress" in told_by(opened))
+            wait_until(lambda: "thinning: no progress" in message_in(opened))
             fed = len(beats)
             wait_until(lambda: len(beats) > fed)
             free.set()
-            wait_until(lambda: "thinning" not in told_by(opened))
+            wait_until(lambda: "thinning" not in message_in(opened))
     finally:
         free.set()
 

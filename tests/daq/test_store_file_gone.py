@@ -74,10 +74,10 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
     path, notes = tmp_path / "s.sqlite", Notes()
     with open_store(str(path)) as store, open_store(str(path)) as reader:
         key = store.register_press("lab", CHANNELS)
-        written_when_told = []
+        written_by_then = []
 
         def journal(level, message):
-            written_when_told.append(len(notes.acknowledged))
+            written_by_then.append(len(notes.acknowledged))
             notes.journal(level, message)
 
         outbox = Outbox(store, acknowledged=notes.note, journal=journal)
@@ -90,7 +90,7 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
         for n in range(50, 200):
             outbox.put(batch(key, n))
         wait_until(lambda: len(notes.acknowledged) == 200)
-        assert written_when_told == [50]
+        assert written_by_then == [50]
         assert reader.newest_scan_number("lab") == 199
         outbox.close()
         with closing(sqlite3.connect(path)) as connection:

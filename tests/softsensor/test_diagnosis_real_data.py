@@ -94,13 +94,13 @@ def test_residual_of_moist_pine_sits_where_water_boils():
             assert np.nanmean(residual[(back > low) & (back < high)]) > -1.0
 
 
-def cooler_than_told(where):
-    """Of the stretches told, those in which the plain model is far too warm."""
+def far_too_warm(where):
+    """Of the stretches reported, those in which the plain model is far too warm."""
     return [row for row in where if row["residual_K"] < -5.0]
 
 
 def test_stretches_told_of_moist_pine_lie_where_water_boils():
-    rows = cooler_than_told(pair().where)
+    rows = far_too_warm(pair().where)
     assert rows
     assert all(85.0 < row["low_C"] < row["high_C"] < 115.0 for row in rows)
     low, high = (f"{rows[0][key]:.0f}" for key in ("low_C", "high_C"))

@@ -36,7 +36,7 @@ load = { column = "load_kN", reference = 10.0 }
 """
 
 
-def _said(run, press=PRESS):
+def _remark_texts(run, press=PRESS):
     moments = moments_of(run, press)
     problem = make_problem(ThermalModel(press), run, moments)
     return remarks(problem.case, problem.signals, moments)
@@ -50,7 +50,7 @@ def _run(start_before_s, rate_hz=1.0, seed=5, **header):
 
 @pytest.mark.parametrize(("start_before_s", "when"), [(20.0, "before the insertion"), (0.0, "in the first row")])
 def test_start_temperature_that_is_not_the_channels_is_told(start_before_s, when):
-    texts = _said(_run(start_before_s, panel__initial_temperature_C=40.0))
+    texts = _remark_texts(_run(start_before_s, panel__initial_temperature_C=40.0))
     assert len(texts) == 1
     assert str(texts[0]).startswith("header key panel.initial_temperature_C = 40, but the panel's channels read")
     assert when in str(texts[0])
@@ -60,13 +60,13 @@ def test_start_temperature_that_is_not_the_channels_is_told(start_before_s, when
 @pytest.mark.parametrize("start_before_s", [20.0, 3.0, 0.0])
 def test_start_temperature_that_is_right_is_not_doubted(rate_hz, start_before_s):
     for seed in (5, 6, 7):
-        assert not any("initial_temperature" in str(r) for r in _said(_run(start_before_s, rate_hz, seed)))
+        assert not any("initial_temperature" in str(r) for r in _remark_texts(_run(start_before_s, rate_hz, seed)))
 
 
 def test_start_temperature_of_a_run_with_channels_on_the_hot_side_only_is_not_doubted():
     run = _run(0.0)
     bottom = replace(run, columns={n: c for n, c in run.columns.items() if not n.startswith("top_")})
-    assert _said(bottom) == []
+    assert _remark_texts(bottom) == []
 
 
 @pytest.mark.parametrize("moment", ["closed_s", "opened_s"])

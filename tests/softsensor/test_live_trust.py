@@ -65,7 +65,7 @@ def held_from(run, at_s, until_s=np.inf):
     return lambda values: np.where(still, values[max(last, 0)], values)
 
 
-def told_wrong(estimates, core):
+def share_missed(estimates, core):
     """Return the share of valid rows whose band misses the truth."""
     rows = [not e.core_low_C <= c <= e.core_high_C for e, c in zip(estimates, core, strict=True) if e.valid]
     return float(np.mean(rows)) if rows else 0.0
@@ -121,7 +121,7 @@ def test_platens_that_come_a_few_scans_late_are_waited_for(pressing):
         (False, InvalidReason.PLATEN_READING_MISSING)
     }
     assert np.mean([e.valid for e in estimates[int(late.sum()) :]]) > 0.95
-    assert told_wrong(estimates, truth.core_C) < 0.1
+    assert share_missed(estimates, truth.core_C) < 0.1
 
 
 def test_platens_that_come_when_the_panel_has_long_lain_there_leave_the_core_unknown(pressing):
@@ -139,7 +139,7 @@ def test_a_run_that_begins_in_mid_press_is_not_answered(pressing, wire, after_s)
     kept = run.time_s > truth.moments.closed_s + after_s
     columns = {n: v[kept] for n, v in run.columns.items() if wire or n != "closed"}
     estimates = replay(replace(run, time_s=run.time_s[kept], columns=columns))
-    assert told_wrong(estimates, truth.core_C[kept]) == 0.0
+    assert share_missed(estimates, truth.core_C[kept]) == 0.0
     assert np.mean([e.valid for e in estimates]) < 0.1
 
 
@@ -177,7 +177,7 @@ def test_a_lower_face_that_warms_already_is_no_contradiction():
 def test_a_face_that_repeats_itself_while_the_panel_warms_does_not_count(pressing, face):
     run, truth = pressing
     estimates = replay(with_columns(run, face, held_from(run, 2.0)))
-    assert told_wrong(estimates, truth.core_C) < 0.05
+    assert share_missed(estimates, truth.core_C) < 0.05
     assert np.mean([e.valid for e in estimates]) > 0.9
 
 
@@ -186,7 +186,7 @@ def test_a_logger_that_stands_still_over_the_closing_is_a_gap(pressing):
     begun = truth.moments.closed_s - 1.0
     frozen = held_from(run, begun, begun + 20.0)
     estimates = replay(with_columns(run, ("top_", "bottom_", "platen"), frozen))
-    assert told_wrong(estimates, truth.core_C) < 0.05
+    assert share_missed(estimates, truth.core_C) < 0.05
     silent = [e for e in estimates if begun + 15.0 < e.time_s < begun + 19.0]
     assert {(e.valid, e.reason) for e in silent} == {(False, InvalidReason.PLATEN_READING_MISSING)}
 
@@ -198,7 +198,7 @@ def test_a_switch_that_opens_for_a_moment_with_no_sensor_on_the_panel_leaves_the
     columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
     columns["closed"] = np.where(slip, 0.0, columns["closed"])
     estimates = replay(replace(run, columns=columns))
-    assert told_wrong(estimates, truth.core_C) < 0.15
+    assert share_missed(estimates, truth.core_C) < 0.15
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), [(2.0, 2.0), (3.0, 0.4), (0.5, 4.0), (10.0, 10.0), (2.0, 18.0)])
@@ -208,7 +208,7 @@ def test_a_gap_in_the_log_around_the_closing_does_not_deceive(before_s, after_s)
     kept = (since < -before_s) | (since > after_s)
     columns = {n: v[kept] for n, v in run.columns.items()}
     estimates = replay(replace(run, time_s=run.time_s[kept], columns=columns), HELD)
-    assert told_wrong(estimates, truth.core_C[kept]) < 0.1
+    assert share_missed(estimates, truth.core_C[kept]) < 0.1
     if before_s + after_s < 6.0:
         assert np.mean([e.valid for e in estimates]) > 0.9
 
@@ -219,7 +219,7 @@ def test_a_closing_that_went_unheard_leaves_the_core_unknown(pressing):
     unheard = (since > -2.0) & (since < 15.0)
     deaf = with_columns(run, ("top_", "bottom_"), lambda v: np.where(unheard, np.nan, v))
     estimates = replay(replace(deaf, columns={n: v for n, v in deaf.columns.items() if n != "closed"}))
-    assert told_wrong(estimates, truth.core_C) == 0.0
+    assert share_missed(estimates, truth.core_C) == 0.0
     assert not any(e.valid for e in estimates if e.time_s > truth.moments.closed_s + 16.0)
 
 
@@ -228,13 +228,13 @@ def test_a_closing_that_went_unheard_leaves_the_core_unknown(pressing):
 TIME = np.arange(0.0, 40.0, 0.5)
 
 
-def faces(came_at, heard_from, start=20.0, closed=30.0):
+def faces(came_at, read_from, start=20.0, closed=30.0):
     """Upper and lower face of a panel that comes at a time: the lower one rises with the root of time (N, 2)."""
     since = np.maximum(TIME - came_at, 0.0)
     lower = np.where(closed > TIME, start + 25.0 * np.sqrt(since), 150.0)
     upper = np.where(closed > TIME, start, 140.0)
     table = np.column_stack([upper, lower])
-    table[heard_from > TIME, 1] = np.nan
+    table[read_from > TIME, 1] = np.nan
     return table
 
 
@@ -344,7 +344,7 @@ def test_sensors_that_join_late_or_never_leave_the_core_known(number, chosen, si
     estimates = replay(replace(late, columns={n: v for n, v in late.columns.items() if np.isfinite(v).any()}))
     closed = [e for e in estimates if e.state is PressState.CLOSED]
     assert np.mean([e.valid for e in closed]) > 0.95
-    assert told_wrong(estimates, truth.core_C) < 0.1
+    assert share_missed(estimates, truth.core_C) < 0.1
 
 
 @pytest.mark.parametrize("off", [-20.0, -9.0, -3.0, 3.0, 9.0, 20.0])
@@ -410,7 +410,7 @@ def test_a_constant_far_from_that_of_its_material_is_doubted_whichever_way_it_is
     mistaken = replace(run, header={**run.header, f"panel.{key}": factor * usual})
     assert [estimates.code for estimates in doubts(mistaken.header)] == ["header-far-from-table"]
     estimates = replay(mistaken, HELD)
-    assert told_wrong(estimates, truth.core_C) <= 0.05
+    assert share_missed(estimates, truth.core_C) <= 0.05
 
 
 def without(run, begin, end):
@@ -431,4 +431,4 @@ def test_a_clock_that_jumps_is_doubted_and_scans_that_are_lost_are_not(pressing)
 def test_faces_that_stand_still_in_the_closed_press_are_read_late_and_tell_the_core_no_better(pressing):
     run, truth = pressing
     late = with_columns(run, ("top_", "bottom_"), lambda v: np.r_[np.full(20, v[0]), v[:-20]])
-    assert told_wrong(replay(late, HELD), truth.core_C) < 0.01
+    assert share_missed(replay(late, HELD), truth.core_C) < 0.01

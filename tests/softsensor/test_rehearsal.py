@@ -158,7 +158,7 @@ def test_options_of_a_rehearsal_want_a_rehearsal(tmp_path, capsys):
     assert "--rehearse" in capsys.readouterr().err
 
 
-def told_before(file, names: list[str]) -> None:
+def fill_finished(file, names: list[str]) -> None:
     """Fill a file with finished campaigns of everything that is named."""
     for name in names:
         hidden = hidden_of(campaign(), [name])[0] if name else Hidden("")
@@ -170,7 +170,7 @@ def told_before(file, names: list[str]) -> None:
 def test_a_rehearsal_killed_while_it_wrote_goes_on_and_gives_the_same_table(tmp_path):
     """A real rehearsal of one campaign stands for a run that was not killed."""
     file, causes = tmp_path / "finished.jsonl", hidden_of(campaign(), ["sensor_fault", "thermocouple_lag=4"])
-    told_before(file, ["", "thermocouple_lag=4"])
+    fill_finished(file, ["", "thermocouple_lag=4"])
     whole = rehearsals.rehearse(rehearsals.plan_rehearsal(campaign(), causes, 1, file))
     assert [(r.hidden.name, r.found.count) for r in whole.rows] == [("thermocouple_lag", 1), ("sensor_fault", 1)]
     assert (whole.nothing.count, whole.nothing.of) == (0, 1)
@@ -185,7 +185,7 @@ def test_a_rehearsal_killed_while_it_wrote_goes_on_and_gives_the_same_table(tmp_
 
 def test_finished_campaigns_of_other_runs_do_not_count(tmp_path):
     file = tmp_path / "finished.jsonl"
-    told_before(file, [""])
+    fill_finished(file, [""])
     fewer = rehearsal.replace(campaign(), runs=campaign().runs[1:])
     assert len(rehearsals.plan_rehearsal(campaign(), [], 2, file).done) == 1
     assert len(rehearsals.plan_rehearsal(fewer, [], 2, file).done) == 0

@@ -314,7 +314,7 @@ def test_what_the_operator_writes_down_counts_at_once(store, fitter, pressing):
     assert all(e.valid for t, e in store.estimates(name)[3:])
 
 
-def told_to_depart(store):
+def departures_journalled(store):
     messages = [entry.message for entry in store.journal().items if entry.message.code == "channel-departs"]
     return [(one.arguments["column"], one.arguments["kelvin"]) for one in messages]
 
@@ -324,7 +324,7 @@ def test_a_sensor_that_falls_off_in_the_closed_press_is_told_once(store, fitter,
     columns = {name: values.copy() for name, values in run.columns.items()}
     columns["bottom_3"][run.time_s > truth.moments.closed_s + 12.0] -= 70.0
     follow(store, fitter, Recorder(store, replace(run, columns=columns)))
-    ((column, kelvin),) = told_to_depart(store)
+    ((column, kelvin),) = departures_journalled(store)
     assert column == "bottom_3"
     assert kelvin == pytest.approx(70.0, abs=5.0)
 
@@ -337,7 +337,7 @@ def test_sensors_that_come_off_one_by_one_with_the_panel_are_not_called_faulty(s
     for column in ("bottom_3", "top_5"):
         columns[column][rest] = np.minimum(columns[column][rest], 45.0)
     follow(store, fitter, Recorder(store, replace(run, columns=columns)))
-    assert told_to_depart(store) == []
+    assert departures_journalled(store) == []
 
 
 def test_channels_read_one_after_another_while_the_press_closes_are_not_called_faulty(store, fitter, pressing):
@@ -346,7 +346,7 @@ def test_channels_read_one_after_another_while_the_press_closes_are_not_called_f
     closing = np.abs(run.time_s - truth.moments.closed_s) < 1.5
     columns["bottom_6"][closing] += 15.0
     follow(store, fitter, Recorder(store, replace(run, columns=columns)))
-    assert told_to_depart(store) == []
+    assert departures_journalled(store) == []
 
 
 def test_between_pressings_the_state_is_idle(store, fitter, pressing):

@@ -28,7 +28,7 @@ SETUP = ROOT / "deploy/kerntemp_setup.py"
 """It says its own with `words`, since it runs where nothing is installed; the catalogues are the same."""
 
 
-def said_in_the_code():
+def messages_in_the_code():
     """Every `say("code", name=...)` as (file:line, code, argument names, whether more come by `**`)."""
     for file in (*(f for package in PACKAGES for f in sorted((ROOT / package).rglob("*.py"))), SETUP):
         text = file.read_text(encoding="utf-8")
@@ -70,7 +70,7 @@ def variables(node):
 def test_every_code_that_is_said_has_words_whose_variables_are_its_arguments(language):
     known = patterns(language)
     wrong = []
-    for where, code, names, more in said_in_the_code():
+    for where, code, names, more in messages_in_the_code():
         if code not in known:
             wrong.append(f"{where}: {code} has no words in {language}")
         elif not more and (lacking := variables(known[code]) - names):
