@@ -45,6 +45,7 @@ from api.answers.records import utc_now
 from api.http.gate import is_loopback
 from api.http.tokens import TokenFile
 from api.outputs import in_words, spoken_language
+from api.plant.client_lines import limits, listen
 from api.plant.client_log import LIBRARY, client_log_thinned
 from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
@@ -157,14 +158,11 @@ class PressServer:
         server = await self._prepared()
         index = await server.register_namespace(NAMESPACE)
         root = await server.nodes.objects.add_folder(ua.NodeId(1, index), "Kerntemp")  # no press has this name
+        await server.start()
+        listener: asyncio.Server | None = None
         try:
-            await server.start()
-        except OSError as error:
-            host, port = self._settings.host, self._settings.port
-            problem = say("plant-address-taken", host=host, port=port, why=reason_of(error))
-            raise InputError(problem) from error
-        try:
-            self.address = _address(server, self._settings)
+            listener = await self._listener(server)
+            self.address = f"opc.tcp://{self._settings.host}:{listener.sockets[0].getsockname()[1]}/kerntemp"
             with self._steps.step():
                 await self._refresh(server, root, index)
             if started is not None:
@@ -174,7 +172,16 @@ class PressServer:
                 with self._steps.step():
                     await self._refresh(server, root, index)
         finally:
+            if listener is not None:
+                listener.close()
             await server.stop()
+
+    async def _listener(self, server: Server) -> asyncio.Server:
+        host, port = self._settings.host, self._settings.port
+        try:
+            return await listen(server, host, port)
+        except OSError as error:
+            raise InputError(say("plant-address-taken", host=host, port=port, why=reason_of(error))) from error
 
     async def _prepared(self) -> Server:
         free = is_loopback(self._settings.host)
@@ -184,6 +191,7 @@ class PressServer:
         await server.set_application_uri("urn:kerntemp:server")
         server.allow_remote_admin(False)
         server.set_endpoint(f"opc.tcp://{self._settings.host}:{self._settings.port}/kerntemp")
+        server.socket_address, server.limits = ("127.0.0.1", 0), limits()  # clients meet bounded lines instead
         server.set_server_name(f"Kerntemp {installed_version()}")
         tokens = [ua.UserNameIdentityToken, *([ua.AnonymousIdentityToken] if free else [])]
         server.set_identity_tokens(tokens)
@@ -257,12 +265,6 @@ class PressServer:
 def _format(path: Path) -> str:
     """Distinguish PEM and DER by what is in the file."""
     return "pem" if path.read_bytes().lstrip().startswith(b"-----BEGIN") else "der"
-
-
-def _address(server: Server, settings: OpcuaSettings) -> str:
-    sockets = server.bserver._server.sockets if server.bserver and server.bserver._server else ()  # noqa: SLF001
-    port = sockets[0].getsockname()[1] if sockets else settings.port
-    return f"opc.tcp://{settings.host}:{port}/kerntemp"
 
 
 def _newest_event(store: Store, press: str) -> StoredPressEvent | None:
