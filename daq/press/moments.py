@@ -50,6 +50,8 @@ it only lies on its plate. How strong a kink is depends on them, and is known no
 _LEAST_GAPS_K = (2.0, 5.0, 30.0)
 """Of these three the temperature difference is taken to be at least so large: a size of nothing fits any noise.
 [K]"""
+_ERROR_K = 0.3
+"""Of reading and model where a kink is placed; an insertion, which hands blur, has twice that. [K]"""
 _SIZE_SHARE = 0.6
 """How well the size of a kink is known beforehand."""
 _NOTICED_AFTER_S, _OPENED_BEFORE_S, _INSERTED_BEFORE_S = 2.6, 1.8, 11.0
@@ -217,7 +219,7 @@ def opening_moment(
     noticed: float,
     plate: float = np.nan,
     lag: Array | None = None,
-    sigma: float = 0.3,
+    sigma: float = _ERROR_K,
 ) -> Placed:
     """Return when the plates left the faces: their flux changes over a short ramp.
 
@@ -240,7 +242,7 @@ def insertion_moment(
     noticed: float,
     plate: float = np.nan,
     lag: Array | None = None,
-    sigma: float = 0.6,
+    sigma: float = 2.0 * _ERROR_K,
 ) -> Placed:
     """Return when the cool panel came to lie on the hot plate."""
     *_, least = _LEAST_GAPS_K

@@ -29,10 +29,10 @@ from daq.records import Array
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, tempered
 from softsensor.effects import Need
+from softsensor.effects.parameters import SMALL_SHARE
 from softsensor.signals.instrument import MEAN_SLOW_K
+from softsensor.signals.unknown import ALPHA
 
-ALPHA = 0.05
-"""Of the p-value adjusted for the number of candidates; a convention."""
 FEW_RUNS = 6
 """The least p-value of n flipped runs is 2^(1-n): below six runs none reaches `ALPHA`. Derived."""
 FEW_CAUSES, MOST_CAUSES = 1, 3
@@ -43,9 +43,9 @@ FEW_TOTAL = 0.5
 campaigns of 2 and 4 runs, 2026-11-21."""
 NEGLIGIBLE_K = 0.5 * MEAN_SLOW_K
 """A pattern common to the runs (rms over pockets) below half of a face's slow noise is none. [K]"""
-SMALLEST_SIZE, SMALLEST_EXPONENT = 0.25, 0.02
-"""A cause has a quarter of its typical size at least. An exponent of pressure over a wide range of loads is plain
-to see when far smaller. Set by hand."""
+SMALLEST_EXPONENT = 0.02
+"""Where others have `SMALL_SHARE` of their typical size at least: an exponent of pressure over a wide range of
+loads is plain to see when far smaller. Set by hand."""
 CORE_RATIO, CORE_K = 1.5, 0.5
 """Core thermocouples refute a model that is further off than another by this factor and so many kelvins in every
 run that has one. Set by hand, above what one is off of its own (`signals.instrument.BURIED_K`)."""
@@ -56,8 +56,8 @@ NEAR = 0.5
 """A rival saves this share of what the best one saves, or is out of its set. Set by hand."""
 LARGEST_SET = 3
 """Names in a set; more advise nobody. Set by hand."""
-ALPHA_PATTERN = 0.025
-"""Of the test for a pattern left over, so that it and a name together stay at `ALPHA`. Half of it."""
+ALPHA_PATTERN = ALPHA / 2.0
+"""Of the test for a pattern left over, so that it and a name together stay at `ALPHA`."""
 EXPLAINED = 0.8
 """Share of the common pattern's energy that all named causes explain at least, or the verdict is that something is
 unknown. Set by hand, 2026-11-21."""
@@ -187,7 +187,7 @@ def objections(claim: Claim, evidence: Evidence) -> set[Objection]:
     """Return everything that speaks against naming a candidate."""
     few = evidence.runs < FEW_RUNS
     against = {
-        Objection.TOO_SMALL: claim.size < (SMALLEST_EXPONENT if claim.needs == Need.LOAD else SMALLEST_SIZE),
+        Objection.TOO_SMALL: claim.size < (SMALLEST_EXPONENT if claim.needs == Need.LOAD else SMALL_SHARE),
         Objection.NO_GAIN_LEFT_OUT: claim.saves.sum() <= 0,
         Objection.UNPHYSICAL: claim.unphysical,
         Objection.REFUTED_BY_CORES: refuted_by_cores(claim.core_K, evidence.core_K),
@@ -220,9 +220,7 @@ def _what_fits_as_well(evidence: Evidence, best: Claim) -> tuple[tuple[str, ...]
     alone. Rim sensors settle a set for the rim, core thermocouples make it smaller.
     """
     rivals = [c for c in evidence.claims if c is not best and c.saved > NEAR * best.saved]
-    rivals = [
-        c for c in rivals if c.size >= SMALLEST_SIZE / 2 and c.saves.sum() > 0 and not clearly_better(best, c)
-    ]
+    rivals = [c for c in rivals if c.size >= SMALL_SHARE / 2 and c.saves.sum() > 0 and not clearly_better(best, c)]
     near = [best, *sorted(rivals, key=lambda c: -c.saved)[: LARGEST_SET - 1]]
     near.sort(key=lambda c: not (c.measuring and not objections(c, evidence)))
     rim = [c for c in near if c.at_the_rim]

@@ -23,7 +23,7 @@ from daq.printed import on_screen
 from daq.records import Array
 from softsensor.diagnosis.extension_unknowns import Unknowns, panel_shares, run_values, shared_cost, start_eta
 from softsensor.signals.digest import Digest, Whitened
-from softsensor.signals.instrument import scan_sd
+from softsensor.signals.instrument import RAMP_S, scan_sd
 from softsensor.signals.unknown import Unknown
 
 STUCK = 3.0
@@ -202,7 +202,7 @@ def _linear_rows(digest: Digest, model: Array) -> Array:
         rows[:, :, count + 1 :] = -slope[:, :, None] * (np.eye(count) - 1.0 / count)
     for i in range(count):
         rows[:, i, i] = 1.0
-    before = digest.time < digest.moments.closed_s - 0.3
+    before = digest.time < digest.moments.closed_s - RAMP_S / 2.0
     if before.sum() > 2:
         rows[before, :, count] = -np.gradient(model[before], digest.time[before], axis=0)
     return np.concatenate([rows, digest.panel_rows], axis=-1)

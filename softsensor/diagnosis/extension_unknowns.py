@@ -12,7 +12,7 @@ from daq.press.press_file import BoundaryKind, Press
 from daq.printed import on_screen
 from daq.records import Array
 from softsensor.effects import conductivity_offset
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import Parameter, uniform_sd
 from softsensor.fitting.constants import CAPACITY, fit_doubts
 from softsensor.heat.model import PANEL_SHARES, ThermalModel
 from softsensor.heat.timing import OPENING_RAMP
@@ -148,7 +148,7 @@ def _timing(digest: Digest) -> Iterator[Unknown]:
     switches = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
     for name, at, (switched, gap) in zip(("closed_s", "opened_s"), (closed, opened), switches, strict=True):
         if np.isfinite(at) and np.isfinite(switched):
-            yield Unknown(name, switched - gap / 2 - at, float(np.hypot(gap / np.sqrt(12.0), SWITCH_S)))
+            yield Unknown(name, switched - gap / 2 - at, float(np.hypot(uniform_sd(gap), SWITCH_S)))
         elif np.isfinite(at):
             yield Unknown(name, 0.0, moment_sd(digest.period_s))
     if np.isfinite(closed):

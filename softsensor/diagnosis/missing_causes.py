@@ -30,6 +30,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
+from softsensor.effects.parameters import USUAL_SPREAD
 from softsensor.fitting.constants import with_constants_of
 from softsensor.fitting.problem import Evaluation, FitProblem, constants_among, inverse, normal_equations
 from softsensor.fitting.result import left_in
@@ -46,8 +47,6 @@ BEFORE = 0.06
 """Chance of one cause before any run was seen."""
 SIZE_FLOOR = 0.1
 """Directions are straight lines through a curved model: sizes are known to this share at best."""
-RUN_TO_RUN = 0.25
-"""How much panels differ in what they hold of a cause, where the catalogue does not say."""
 STEEP_K = 0.05
 """Rows whose timing alone is worth more than this say nothing about what is left unexplained. [K]"""
 USUAL_REST_K = 0.25
@@ -243,7 +242,7 @@ def _missing_cause(name: str, size: _Size, chance: float) -> MissingCause:
     table = {}
     for p in effect.parameters:
         unit = p.typical - p.neutral
-        between = size.mean * (p.spread or RUN_TO_RUN)
+        between = size.mean * (p.spread or USUAL_SPREAD)
         table[p.name] = FittedValue(p.neutral + unit * size.mean, abs(unit) * math.hypot(size.sd, between))
         if unit == 0.0:
             table[p.name] = FittedValue(p.typical, 0.0)

@@ -14,6 +14,7 @@ from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import CLOCK_ERROR_S
 from softsensor.diagnosis.settling import START_NOISE, SettledModel
 from softsensor.effects import Effect, Need
+from softsensor.effects.parameters import QUARTILE
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
 from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise
 from softsensor.signals.faces import place_scatter
@@ -28,8 +29,8 @@ BLOCK_S = WIDEST_BIN_S
 CALM = 0.7
 """Least `Digest.trust` of a bin that shows noise: where its slope is gentle. By hand, 2026-11."""
 
-MEDIAN_CHI2 = 0.4549
-"""Median of chi-squared with one degree of freedom, to four digits: `scipy.special.chdtri(1, 0.5)`."""
+MEDIAN_CHI2 = QUARTILE**2
+"""Median of chi-squared with one degree of freedom: of the square of a normal."""
 
 
 @dataclass(frozen=True)

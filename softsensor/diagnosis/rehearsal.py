@@ -43,6 +43,7 @@ from softsensor.signals.digest import Digest
 from softsensor.signals.doubt import PANEL_DENSITY, PANEL_SCATTER, Doubt, constant_doubts
 from softsensor.signals.instrument import CHANNEL_K, CHANNEL_WHITE_K, FACE_SLOW_S, PLATEN_K
 from softsensor.signals.screen import LEAST_CHANNELS, quiet_rows
+from softsensor.signals.unknown import ALPHA
 
 NOTHING = ""
 """The name of no cause at all."""
@@ -59,8 +60,6 @@ ONE_PRODUCT = {
 LOOSE = 0.1
 """A rehearsed faulty channel loses this share of its face's excess over the room: 13 K at 150 °C, in the middle of
 the 8 to 33 K by which faulty channels of the reference campaigns depart (`signals.screen.LIMIT_K`)."""
-SURE = 0.95
-"""Of the intervals."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ class Rate:
         >>> [round(end, 4) for end in Rate(0, 10).ci95]  # 1 - 0.025^(1/10)
         [0.0, 0.3085]
         """
-        tail, missed = (1.0 - SURE) / 2.0, self.of - self.count
+        tail, missed = ALPHA / 2.0, self.of - self.count
         low = float(betaincinv(self.count, missed + 1, tail)) if self.count else 0.0
         high = float(betaincinv(self.count + 1, missed, 1.0 - tail)) if missed else 1.0
         return low, high

@@ -14,13 +14,14 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Array, Run
-from softsensor.diagnosis.decision import SMALLEST_EXPONENT, SMALLEST_SIZE
+from softsensor.diagnosis.decision import SMALLEST_EXPONENT
 from softsensor.diagnosis.directions import direction
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import PROBE, candidates_for, switch_scores
 from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.diagnosis.sign_flips import SCORE_LIMIT
 from softsensor.effects import Effect, Need, catalogue
+from softsensor.effects.parameters import SMALL_SHARE
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.digest import screened_digest
 
@@ -45,7 +46,7 @@ def ways() -> dict[str, CauseWay]:
     for effect in catalogue().values():
         sizes = [p for p in effect.parameters if not is_shape(p)]
         neutral = {effect.key(p.name): p.typical if is_shape(p) else p.neutral for p in effect.parameters}
-        least = SMALLEST_EXPONENT if effect.needs == Need.LOAD else SMALLEST_SIZE
+        least = SMALLEST_EXPONENT if effect.needs == Need.LOAD else SMALL_SHARE
         for several in [sizes] if effect.one_sided else [[p] for p in sizes]:
             for sign in (1.0,) if effect.one_sided else (1.0, -1.0):
                 moved = {effect.key(p.name): p.neutral + sign * PROBE * (p.typical - p.neutral) for p in several}

@@ -11,7 +11,6 @@ from daq.records import Array
 from softsensor.diagnosis.decision import (
     FEW_RUNS,
     MOST_CAUSES,
-    SMALLEST_SIZE,
     UNPROVEN,
     Choice,
     Claim,
@@ -30,6 +29,7 @@ from softsensor.diagnosis.search import FAR_OFF, Candidate, candidates_for, core
 from softsensor.diagnosis.settling import SettledModel, panels_given
 from softsensor.diagnosis.sign_flips import likelihood_p, max_t, tempered
 from softsensor.effects import Need
+from softsensor.effects.parameters import SMALL_SHARE
 
 RIM_K, RIM_T = 0.15, 3.0
 """Rim sensors that fall by so much against central ones, and so many standard errors, speak for a loss at the rim.
@@ -138,7 +138,7 @@ def _second_look(
     everyone = np.arange(len(base.data))
     claims = {c.name: c for c in claims_of(base, first.candidates, first.p_values, everyone)}
     able = [c for c in first.candidates if c.refined and not objections(claims[c.effect.name], before)]
-    if exchanged := exchange(stages, able, SMALLEST_SIZE):
+    if exchanged := exchange(stages, able, SMALL_SHARE):
         found, beside = exchanged
         name = found[1].effects[-1]
         chosen = next(c for c in first.candidates if c.effect.name == name)

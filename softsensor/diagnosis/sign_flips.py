@@ -25,6 +25,7 @@ from daq.records import Array
 from softsensor.heat.timing import OPENING_RAMP_S
 from softsensor.signals.digest import Digest
 from softsensor.signals.instrument import RAMP_S
+from softsensor.signals.unknown import ALPHA
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -38,8 +39,6 @@ SCORE_LIMIT = 3.0
 """Standard deviations a run can say at most in what is put together over nights. By hand, 2026-11."""
 MOST_SAID = SCORE_LIMIT**2
 """Standard deviations that a tempered score stays below: a score of three keeps three quarters of its weight."""
-SURE = 0.05
-"""A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 
 
 class ResidualPhase(StrEnum):
@@ -247,7 +246,7 @@ def pattern_test(found: Sequence[Pocket]) -> PatternTest:
     p = max_t(means)
     plain = [q for q in found if not q.shared]
     energy = float(np.mean([_common_energy(q.means) for q in plain])) if plain else 0.0
-    sure = [q for q, level in zip(found, p, strict=True) if level <= max(SURE, float(p.min())) and not q.shared]
+    sure = [q for q, level in zip(found, p, strict=True) if level <= max(ALPHA, float(p.min())) and not q.shared]
     worst = max(sure, key=lambda q: abs(q.mean), default=None)
     return PatternTest(float(p.min()), max(energy, 0.0), worst)
 

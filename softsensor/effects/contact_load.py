@@ -15,6 +15,10 @@ With a load column it holds at the contact's ``reference``, or, without one, at 
 """
 
 
+LEAST_LOAD = 0.01
+"""Smaller shares of a run's largest load, or of the reference, count as that: no contact vanishes. By hand."""
+
+
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(closed_contact={m: np.exp(values["exponent"] * np.log(load)) for m, load in scene.load.items()})
 

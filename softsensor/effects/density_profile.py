@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -28,7 +28,7 @@ EFFECT = Effect(
             lower=0.0,
             upper=1.1,
             source="faces 1.2 to 1.4 times the core, assumed; lighter ones are not this cause",
-            spread=0.25,
+            spread=USUAL_SPREAD,
             least=-1.2,
             most=4.9,
             shown_as=(100.0, "unit-percent-of-mean"),

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softsensor.effects.effect import Effect, Live, Role, Scene, Terms
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -22,7 +22,7 @@ EFFECT = Effect(
             lower=-60.0,
             upper=60.0,
             source="plates take 15 to 60 s to recover",
-            spread=0.25,
+            spread=USUAL_SPREAD,
         ),
     ),
     terms=_terms,

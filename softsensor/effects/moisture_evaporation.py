@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from softsensor.effects.effect import Conversion, Effect, LawOf, Live, Need, Role, Scene, Terms, on_panel
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 LATENT_HEAT = 2.4e6
 """Heat of vaporisation at 100 °C (2.26 MJ/kg) plus sorption heat below 10 % moisture. [J/kg]"""
@@ -41,7 +41,7 @@ EFFECT = Effect(
             lower=0.0,
             upper=30.0,
             source="board moisture 5 to 12 %",
-            spread=0.25,
+            spread=USUAL_SPREAD,
             least=0,
             shown_as=(1.0, "unit-percent-of-dry-mass"),
             sd=2.0,

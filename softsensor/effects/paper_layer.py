@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -22,7 +22,7 @@ EFFECT = Effect(
             lower=1e-6,
             upper=5e-3,
             source="0.1-0.2 mm at 0.2-0.3 W/mK",
-            spread=0.25,
+            spread=USUAL_SPREAD,
             least=1e-09,
         ),
         Parameter(

@@ -4,11 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
+from statistics import NormalDist
 
 from daq.words import Message, say
 
-QUARTILE = 0.6745
-"""Upper quartile of a normal, in standard deviations."""
+QUARTILE = NormalDist().inv_cdf(0.75)
+"""Upper quartile of a normal, in standard deviations: half of its values lie within, by definition."""
+_ROOT_12 = 12.0**0.5
+"""Width of a range over the standard deviation of what lies anywhere within alike, by definition."""
+SMALL_SHARE = 0.25
+"""A cause that is a smaller share of its typical size does not matter. By hand."""
+USUAL_SPREAD = 0.25
+"""How much panels differ in what they hold of a cause, where nothing is known of it. By hand."""
+
+
+def uniform_sd(width: float) -> float:
+    """Return the standard deviation of what lies anywhere in a range of this width alike."""
+    return width / _ROOT_12
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,7 @@ def ratio_to_nominal(source: str) -> Parameter:
     """Return the parameter of a constant of the panel that is not the nominal one."""
     shown = (1.0, "unit-times-nominal")
     return Parameter(
-        "ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, source, spread=0.25, least=0.01, shown_as=shown
+        "ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, source, spread=USUAL_SPREAD, least=0.01, shown_as=shown
     )
 
 
@@ -93,5 +105,5 @@ def change_per_100_K(source: str) -> Parameter:  # noqa: N802 - kelvin
     """Return the parameter of a constant of the panel that changes with temperature."""
     shown = (100.0, "unit-percent-of-value-at-20-degrees")
     return Parameter(
-        "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, source, spread=0.25, shown_as=shown
+        "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, source, spread=USUAL_SPREAD, shown_as=shown
     )

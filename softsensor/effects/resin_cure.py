@@ -8,7 +8,7 @@ import numpy as np
 from daq.press.resin_file import REFERENCE_C
 from daq.records import COLDEST_C
 from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 RATE_140 = 0.06
 """Rate at 140 °C; at the 165 °C of a closed press most of the resin cures within 10 to 20 s. [1/s] By hand."""
@@ -44,7 +44,7 @@ EFFECT = Effect(
             lower=0.0,
             upper=MOST_KJ_M2,
             source="80-130 g/m² x 50-150 J/g",
-            spread=0.25,
+            spread=USUAL_SPREAD,
             least=0,
             shown_as=(1.0, "unit-kilojoule-per-face"),
         ),

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 SIZE_WITHIN = 3.0
 """Steam flows as any gas: the gas permeability of boards from one fibre, 18 kinds by adhesive, paraffin and
@@ -28,7 +28,7 @@ EFFECT = Effect(
             lower=0.0,
             upper=1.0e5,
             source="order of magnitude, assumed",
-            spread=0.25,
+            spread=USUAL_SPREAD,
             least=0,
             within=SIZE_WITHIN,
         ),

@@ -22,6 +22,7 @@ from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 from softsensor.signals.doubt import Doubt, Source
+from softsensor.signals.instrument import RAMPS_S
 from softsensor.signals.places import Noise, Signals, whiten
 from softsensor.signals.screen import Flags
 from softsensor.signals.unknown import Unknown
@@ -275,7 +276,7 @@ def with_motion(problem: FitProblem, x: Array, timing_s: float, reach_s: float =
         slope.append(-solution.d_sensors[SLOPE][:, column])
         own = np.abs(slope[-1]) * timing_s
         for rows, around, ramp in moves:
-            steepest = float(np.ptp(solution.sensors[around, column])) / max(ramp, 0.2)
+            steepest = float(np.ptp(solution.sensors[around, column])) / max(ramp, RAMPS_S[0])
             own = np.where(rows, np.maximum(own, SWITCH_TIMING_S * steepest), own)
         blur.append(own)
     moving = np.any([np.zeros(len(t), bool), *(rows for rows, _, _ in moves)], axis=0)

@@ -9,6 +9,7 @@ import numpy as np
 from daq.press.press_file import BoundaryKind, InitialKind, Press
 from daq.records import Array, Moments
 from daq.words import Message, say
+from softsensor.effects.parameters import uniform_sd
 from softsensor.fitting.problem import EVERYWHERE, PlaceUnknown
 from softsensor.heat.case import Case
 from softsensor.heat.model import NUISANCES
@@ -137,7 +138,7 @@ def _moment_priors(case: Case, period: float) -> list[Unknown]:
 def _moment_in_gap(gap: Gap, at: float, sd: float) -> Unknown:
     """Return a moment that may lie anywhere in a gap: a flat prior's mean and standard deviation."""
     width = gap.end - gap.start
-    spread = float(np.hypot(width / np.sqrt(12.0), sd))
+    spread = float(np.hypot(uniform_sd(width), sd))
     return nuisance(gap.moment, spread, 0.5 * width + 2 * sd, 0.5 * (gap.start + gap.end) - at)
 
 

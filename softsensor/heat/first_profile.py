@@ -26,6 +26,7 @@ from daq.press.press_file import At, BoundaryKind, InitialKind, Press
 from daq.records import Array, InputError, Panel, Run
 from daq.words import say
 from softsensor.effects import Terms
+from softsensor.effects.parameters import uniform_sd
 from softsensor.heat import implicit_steps
 from softsensor.heat.assembly import layer_constants
 from softsensor.heat.case import Case
@@ -128,7 +129,7 @@ def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
         ):
             places.insert(index, (height, first))
     gaps = enumerate(pairwise(places))
-    return {f"start_{i}_K": abs(b - a) / np.sqrt(12.0) for i, ((low, a), (high, b)) in gaps if high > low}
+    return {f"start_{i}_K": uniform_sd(abs(b - a)) for i, ((low, a), (high, b)) in gaps if high > low}
 
 
 def in_height(case: Case, state: implicit_steps.State) -> None:

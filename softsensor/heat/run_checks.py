@@ -24,6 +24,7 @@ from daq.records import (
     Run,
 )
 from daq.words import Argument, Message, say
+from softsensor.effects.contact_load import LEAST_LOAD
 from softsensor.effects.effect import Effect
 from softsensor.heat.timing import OPENING_RAMP_S
 
@@ -153,7 +154,7 @@ def load_series(run: Run, load: Load) -> Array | None:
         return None
     where = run.source or run.name
     good = np.isfinite(values)
-    smallest = max(float(values[good].max(initial=0.0)) * 0.01, 1e-6)
+    smallest = max(float(values[good].max(initial=0.0)) * LEAST_LOAD, 1e-6)
     wrong = np.flatnonzero(np.isinf(values) | (values < -smallest))
     if len(wrong):
         i = int(wrong[0])

@@ -31,9 +31,8 @@ from typing import Any
 import numpy as np
 
 from softsensor.diagnosis.run_scores import ways
+from softsensor.signals.unknown import ALPHA
 
-ALPHA = 0.05
-"""Share of presses with nothing missing in which something is ever taken for missing; a convention."""
 STAKES = (0.5, 2.0)
 """Shifts of the scores that are bet on, in their standard deviations; one in between is bet on as its half or its
 double at worst."""
@@ -51,7 +50,8 @@ class Bets:
     against: str = ""
     """Fingerprint of the model bet against, with its press file; empty before the first."""
     models: int = 0
-    """How many models were bet against, each with its own part of `ALPHA`."""
+    """How many models were bet against, each with its own part of `ALPHA`: the share of presses with nothing
+    missing in which something is ever taken for missing."""
     counted: int = 0
     """Runs up to this number have had their turn."""
     runs: int = 0

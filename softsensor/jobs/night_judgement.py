@@ -38,6 +38,7 @@ from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
 from softsensor.signals.moments import moments_of
 from softsensor.signals.student import student
+from softsensor.signals.unknown import ALPHA
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -62,8 +63,8 @@ NOT_ASKED = "not_asked"
 """Instead of a verdict, where the runs are those of the night before."""
 FAILED = "failed"
 """Instead of a verdict, where the press's night could not be gone through."""
-ONE_SIDED = 0.95
-"""Of Student's t where only one side counts, at 5 %."""
+ONE_SIDED = 1.0 - ALPHA
+"""Of Student's t where only one side counts."""
 FEWEST_RUNS = 3
 """Runs a first model needs."""
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.press.detector import HAND_C
 from daq.records import Array
+from softsensor.effects.parameters import uniform_sd
 from softsensor.live.blocks import SPARSE_S, ScanArrays
 from softsensor.live.channel_steps import Changes, Integers, note_changes
 from softsensor.live.validity import Invalid, InvalidReason
@@ -134,7 +135,7 @@ def place_insertion(
         found = Insertion(ends - age, 0.3 + 0.35 * age)
     elif len(resting) and earliest < resting[-1] < ends - SLOPE_S:
         found = Insertion(float(resting[-1]), UPPER_S)
-    return Insertion(min(max(found.at, earliest), ends), min(found.sd, (ends - earliest) / math.sqrt(12.0)))
+    return Insertion(min(max(found.at, earliest), ends), min(found.sd, uniform_sd(ends - earliest)))
 
 
 def hot_from(start_C: float) -> float:

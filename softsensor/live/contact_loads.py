@@ -15,11 +15,9 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Array
+from softsensor.effects.contact_load import LEAST_LOAD
 from softsensor.heat.case import Case
 
-LEAST = 0.01
-"""Loads below this share of the reference are taken as that: a contact never vanishes, as in
-`heat.run_checks.load_series`, which takes it of the largest of the run, not known yet here."""
 MOST = 100.0
 """Largest load of the table, as a multiple of the reference; beyond, the factor stays. By hand, 2026-11."""
 
@@ -41,11 +39,11 @@ class HeldLoads:
         for m, (column, reference) in self._columns.items():
             share = values.get(column, math.nan) / reference
             if math.isfinite(share):
-                self._logs[m] = math.log(max(share, LEAST))
+                self._logs[m] = math.log(max(share, LEAST_LOAD))
 
 
 def over_loads(case: Case) -> tuple[Case, Array]:
     """Return a case in whose steps the loads of followed contacts rise, and the loads' logarithms (steps)."""
-    logs = np.linspace(math.log(LEAST), math.log(MOST), len(case.h))
+    logs = np.linspace(math.log(LEAST_LOAD), math.log(MOST), len(case.h))
     loads = dict.fromkeys(case.press.load_references, np.exp(logs))
     return replace(case, load={**case.load, **loads}), logs

@@ -9,6 +9,7 @@ from dataclasses import replace
 from daq.press.detector import BLIND_S, CHANGE_S
 from daq.press.events import PressEventDetector
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState
+from softsensor.effects.parameters import uniform_sd
 from softsensor.live.blocks import ScanArrays
 from softsensor.live.consistency import (
     LONGEST_WAIT_S,
@@ -178,9 +179,9 @@ class PressFollower:
         at = event.monotonic_s
         if event.source.is_wire:
             between = time_s - (float(self._scans.time[-1]) if len(self._scans) else time_s)
-            return at - 0.5 * between, 0.3 * between + 0.1
+            return at - 0.5 * between, uniform_sd(between) + 0.1
         if (gap := self._scans.gap(at, time_s)) is not None:
-            return 0.5 * (gap[0] + gap[1]), 0.3 * (gap[1] - gap[0])
+            return 0.5 * (gap[0] + gap[1]), uniform_sd(gap[1] - gap[0])
         return at, LIVE_MOMENT_S
 
     def _note(self, event: PressEvent, time_s: float) -> None:
@@ -200,7 +201,7 @@ class PressFollower:
 
     def _why_not_followed(self, sd: float) -> Invalid | None:
         """Return why a press that has just closed cannot be followed; `sd` is how well that moment is placed."""
-        if sd > 0.3 * LONGEST_GAP_S:
+        if sd > uniform_sd(LONGEST_GAP_S):
             return Invalid(InvalidReason.CLOSED_IN_GAP)
         if not len(self._scans):
             return Invalid(InvalidReason.BEGINS_CLOSED)

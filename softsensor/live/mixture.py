@@ -14,8 +14,10 @@ from daq.records import Array
 from softsensor.live.kalman import BetweenFaces, KalmanFilter, log_sum
 from softsensor.live.mixture_steps import Change, Components, pool, quantile, weigh
 from softsensor.signals.doubt import DOUBT_SIZES
+from softsensor.signals.instrument import LOGGER_STEP_K
+from softsensor.signals.unknown import CENTRAL
 
-MARGIN_K, MARGIN_SHARE = 0.1, 0.003
+MARGIN_K, MARGIN_SHARE = LOGGER_STEP_K, 0.003
 """What the model itself adds to the core: absolute (what header and logger round to), and of its rise (mesh,
 steps). Start temperature and panel constants are not in it: they are parameters of the filter. [K, -] By hand."""
 MISFIT_USUAL, MISFIT_WEIGHT = 2.0, 5.0
@@ -157,7 +159,7 @@ def _together(panels: Sequence[PanelCore], shares: tuple[Array, ...]) -> Mixture
     variance = np.concatenate([panel.components.variance for panel in panels])
     core = float(weight @ mean)
     sd = math.sqrt(float(weight @ (variance + (mean - core) ** 2)))
-    low, high = (float(quantile(weight, mean, np.sqrt(variance), share)) for share in (0.025, 0.975))
+    low, high = (float(quantile(weight, mean, np.sqrt(variance), share)) for share in CENTRAL)
     by_faces = all(panel.by_faces for panel in panels)
     every = Components(weight, mean, variance)
     return Mixture(names, every, core, sd, min(low, core), max(high, core), shares, by_faces, tuple(panels))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
+from softsensor.signals.unknown import CENTRAL
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -160,7 +161,7 @@ def _released(hypotheses, j, own, still, carried):
 def _half_normal(z):
     """Log mass, mean shift and variance factor of N(z, 1) cut at 0, in units of its deviation."""
     if z < -6.0:
-        mass = -0.5 * z * z - math.log(-z) - 0.9189385332046727
+        mass = -0.5 * z * z - math.log(-z) - 0.5 * math.log(2.0 * math.pi)
         ratio = -z + 1.0 / (-z)
     else:
         share = 0.5 * math.erfc(-z / math.sqrt(2.0))
@@ -256,7 +257,7 @@ def pool(components, change):
     for j in range(log.shape[0]):
         square += log[j] * (variances[j] + (means[j] - expected) ** 2)
     sds = np.sqrt(variances)
-    low, high = quantile(log, means, sds, 0.025), quantile(log, means, sds, 0.975)
+    low, high = quantile(log, means, sds, CENTRAL[0]), quantile(log, means, sds, CENTRAL[1])
     return expected, math.sqrt(square), min(low, expected), max(high, expected)
 
 

@@ -70,7 +70,7 @@ def _by_radiation(end: Boundary, ambient: float) -> float:
         return math.inf
     around = (ambient if end.ambient_C is None else end.ambient_C) + ZERO_C
     absorbed = end.absorptivity * end.incident_W_m2 / (end.emissivity * STEFAN_BOLTZMANN)
-    return float((absorbed + around**4) ** 0.25) - ZERO_C
+    return math.sqrt(math.sqrt(absorbed + around**4)) - ZERO_C
 
 
 def _released(press: Press, run: Run) -> float:

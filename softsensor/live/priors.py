@@ -18,7 +18,7 @@ import numpy as np
 from daq.press.press_file import BoundaryKind, Press
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue, find_effect, paper_layer
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import SMALL_SHARE, Parameter
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, PLATEN_TOTAL_K, START_K
 from softsensor.signals.unknown import Unknown
@@ -82,8 +82,6 @@ FARTHEST = 3.5
 """Prior standard deviations the point of linearisation may move from its start."""
 LEAST_CHANCE = 1e-3
 """No cause is held less likely than this before a run. Set by hand, 2026-11."""
-NO_MATTER = 0.25
-"""A size below this share of the usual one needs no filter of its own."""
 
 
 @dataclass(frozen=True)
@@ -305,7 +303,7 @@ def _contradicted(effect: Effect, missing: MissingCauses | None) -> bool:
 def _ruled_out(s: CausePrior) -> bool:
     """Return whether earlier runs leave no room for a size that matters."""
     usual = _parameter(s.parameter).size
-    return s.centre is not None and s.chance < OWN_FILTER and s.centre + 2.0 * s.sd < NO_MATTER * usual
+    return s.centre is not None and s.chance < OWN_FILTER and s.centre + 2.0 * s.sd < SMALL_SHARE * usual
 
 
 def panel_plan(

@@ -56,7 +56,7 @@ from softsensor.signals.doubt import nearest_of
 
 MISFIT_LIMIT = 9.0
 """Mean squared normalised innovation over 10 s beyond which the model is not valid: three deviations, for 10 s."""
-HOLE_LIMIT = 9.0
+HOLE_LIMIT = MISFIT_LIMIT
 """Mean squared normalised innovation of two faces after a hole in the scans, beyond which the clock has jumped or
 something has happened meanwhile: by chance once in 8,000 holes (chi squared of two beyond 18). Six virtual
 pressings: 0.1 to 0.4 after 25 s without scans, 10 and more after a clock that jumps by 25 s."""

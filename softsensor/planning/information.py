@@ -26,15 +26,17 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.fitting.experiment_advice import MANY
+from softsensor.signals.unknown import ALPHA
 
 # Numbers without another source were set by hand, 2026-11.
 
-ODDS = 20.0
+ODDS = 1.0 / ALPHA
 """That a suspected cause is there at all is settled at odds of so many to one: 5 % wrong, as in its tests."""
 DRAWS, SEED = 400, 24
 """Of runs not pressed, the same for all pressings: a chance near 80 % is good to 2 %. Any seed does."""
 WANTED_CHANCE = 0.8
-"""Runs are counted until the matter is settled with this chance; the usual power of a planned experiment."""
+"""Runs are counted until the matter is settled with this chance: the conventional power of a planned experiment
+(Perugini, Gallucci & Costantini, Int. Rev. Soc. Psychol. 31 (2018) 20, doi 10.5334/irsp.181)."""
 
 
 @dataclass(frozen=True)

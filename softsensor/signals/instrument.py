@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+from softsensor.effects.parameters import uniform_sd
+
 # Thermocouples and logger
 
 CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
@@ -36,6 +38,8 @@ BURIED_K = 0.4
 middle. (the project's facts, decision.md) [K]"""
 PLATEN_TOTAL_K = math.hypot(PLATEN_K, PLATEN_CLASS_K)
 """Both together: all a platen channel may be off. The live sensor's number, whose band must hold in a run. [K]"""
+LOGGER_STEP_K = 0.1
+"""To which loggers and headers round. (facts, loggers.md) [K]"""
 CHANNEL_WHITE_K = 0.07
 """White noise of one reading of a panel channel: a logger's step of 0.1 K (0.03) and its own 0.05 to 0.1. [K]"""
 FACE_SLOW_LIMITS_K, FACE_SLOW_S = (0.1, 0.2), 30.0
@@ -76,7 +80,7 @@ SWITCH_S = 0.06
 It trips somewhere in a ramp of 0.2 to 1 s near its end; by hand, 2026-11."""
 RAMPS_S, RAMP_LIMITS_S = (0.2, 1.0), (0.1, 1.2)
 """How long closing takes (contract, section 2), and limits beyond. [s]"""
-RAMP_S, RAMP_SD_S = sum(RAMPS_S) / 2.0, (RAMPS_S[1] - RAMPS_S[0]) / 12**0.5
+RAMP_S, RAMP_SD_S = sum(RAMPS_S) / 2.0, uniform_sd(RAMPS_S[1] - RAMPS_S[0])
 """Its mean and deviation, all lengths alike. [s]"""
 BEFORE_SWITCH_S, RAMP_GONE_S = 1.0, 1.5
 """From before a closing or opening to after it what a fit leaves shows no noise: the model's ramps are not the

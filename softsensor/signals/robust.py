@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.records import Array
+from softsensor.effects.parameters import QUARTILE
 
 
 def nan_mean(values: Array) -> Array:
@@ -24,16 +25,12 @@ def nan_median(values: Array) -> Array:
     return np.where(count > 0, (low + high) / 2, np.nan)
 
 
-QUARTER = 0.6744897501960817
-"""Three quarters of a standard normal distribution lie below, by definition."""
-
-
 def robust_sd(away: Array) -> Array:
     """Return the standard deviation of normal values about zero from their median distance to it: (…, n) to (…).
 
     NaN where nothing is.
     """
-    return np.asarray(nan_median(np.abs(away)) / QUARTER)
+    return np.asarray(nan_median(np.abs(away)) / QUARTILE)
 
 
 def channel_scatter(values: Array, *, own_offsets: bool) -> Array:

@@ -20,7 +20,7 @@ from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from daq.words import Message, say
 from softsensor.effects.vocabulary import place_words
-from softsensor.signals.instrument import BEFORE_SWITCH_S, LAG_GONE_S
+from softsensor.signals.instrument import BEFORE_SWITCH_S, CHANNEL_GAIN, LAG_GONE_S, LOGGER_STEP_K
 from softsensor.signals.robust import nan_median
 
 Flags = NDArray[np.bool_]
@@ -34,11 +34,11 @@ LIMIT_RATIO = 5.0
 """It must also exceed the usual departure on its face so many times: a thin panel under an uneven press."""
 LEAST_CHANNELS = 3
 """A face needs so many channels for one of them to depart from the others."""
-LARGEST_GAIN = 0.005
-"""So much of a departure may be the channel's gain, three deviations of `CHANNEL_GAIN` and some."""
+LARGEST_GAIN = 3.0 * CHANNEL_GAIN
+"""So much of a departure may be the channel's gain: three deviations."""
 ALIKE, ALIKE_SHARE = 0.85, 0.15
 """Correlation from which two departures are one pattern, and the least share of its energy the other must have."""
-FOLLOWS_RATIO, FOLLOWS_K = 3.0, 0.1
+FOLLOWS_RATIO, FOLLOWS_K = 3.0, LOGGER_STEP_K
 """A channel follows another face where it departs from it less than so many times what that face's own do, which
 counts as no less than the logger's step. [-, K]"""
 KINK_SHARE = 0.15

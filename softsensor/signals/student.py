@@ -10,12 +10,14 @@ from math import cos, exp, lgamma, pi, sqrt, tan
 
 import numpy as np
 
+from softsensor.signals.unknown import CENTRAL
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _STEPS = 14
 """Of Newton's method: for a probability up to 0.995 it ends after 11 at any number of degrees of freedom."""
 
 
-def student(freedom: float, probability: float = 0.975) -> float:
+def student(freedom: float, probability: float = CENTRAL[1]) -> float:
     """Return the quantile of Student's t distribution; by default the half-width of a 95 % band.
 
     With t = sqrt(freedom) tan(u) the share below t is 1/2 + c times the integral of cos(u)^(freedom - 1), by Gauss

@@ -7,10 +7,12 @@ from statistics import NormalDist
 
 import numpy as np
 
-BAND = NormalDist().inv_cdf(0.975)
+ALPHA = 0.05
+"""Share in which a test, or a band, may be wrong by chance; a convention."""
+CENTRAL = (ALPHA / 2.0, 1.0 - ALPHA / 2.0)
+"""Shares of a distribution below the ends of its central 95 %."""
+BAND = NormalDist().inv_cdf(CENTRAL[1])
 """Half-width of a normal estimate's 95 % band, in standard deviations."""
-CENTRAL = (0.025, 0.975)
-"""Shares of a distribution below the ends of its central 95 %, by definition."""
 FAR_LOG = 50.0
 """An interval of a logarithm ends here at the latest, before it overflows: e⁵⁰ times anything is beyond all
 limits. By hand, 2026-11."""

@@ -48,12 +48,13 @@ import numpy as np
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from softsensor.diagnosis.decision import ALPHA, LARGEST_SET, Evidence, objections
+from softsensor.diagnosis.decision import LARGEST_SET, Evidence, objections
 from softsensor.diagnosis.search import core_errors
 from softsensor.diagnosis.selection import Round, claims_of, cool_rim, search_all
 from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.diagnosis.verdict import _conclude, _screened
 from softsensor.heat.model import ThermalModel
+from softsensor.signals.unknown import ALPHA
 
 RUNS, SCALE = 6, 0.5
 PRESS = parse_press(press_toml())

@@ -29,10 +29,11 @@ from daq.store import open_store
 from softsensor.diagnosis.run_scores import run_scores, ways
 from softsensor.diagnosis.sign_flips import SCORE_LIMIT, max_t
 from softsensor.heat.model import ThermalModel
-from softsensor.jobs.bets import ALPHA, Bets
+from softsensor.jobs.bets import Bets
 from softsensor.jobs.night import refit_press
 from softsensor.jobs.night_judgement import DIAGNOSED_RUNS, JUDGES
 from softsensor.jobs.night_progress import Progress
+from softsensor.signals.unknown import ALPHA
 
 PRESS, PLAN = parse_press(press_toml()), Plan(closed_column=True, thickness_mm=16.0, rate_hz=2.0)
 NIGHTS, BEGINS, LATEST = 365, 100, 200

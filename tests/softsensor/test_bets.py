@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from softsensor.diagnosis.run_scores import ways
-from softsensor.jobs.bets import ALPHA, WAIT, Bets
+from softsensor.jobs.bets import WAIT, Bets
+from softsensor.signals.unknown import ALPHA
 
 FIRST = Bets().facing("plain")
 

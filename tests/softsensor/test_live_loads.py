@@ -5,8 +5,9 @@ import pytest
 
 from daq.press.press_file import parse_press
 from daq.records import Run
+from softsensor.effects.contact_load import LEAST_LOAD
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
-from softsensor.live.contact_loads import LEAST, HeldLoads
+from softsensor.live.contact_loads import HeldLoads
 from softsensor.live.priors import nuisance_priors, plans_for
 from softsensor.live.replay import replay
 from softsensor.live.setup import linearise, set_up
@@ -97,7 +98,7 @@ def test_a_load_to_come_changes_nothing_said_before():
 def test_a_load_that_is_missing_is_held_and_none_presses_with_a_hundredth():
     held = HeldLoads(PRESS)
     assert held.logs == (0.0, 0.0, 0.0)
-    for load, share in ((300.0, 2.0), (float("nan"), 2.0), (0.0, LEAST), (-5.0, LEAST), (75.0, 0.5)):
+    for load, share in ((300.0, 2.0), (float("nan"), 2.0), (0.0, LEAST_LOAD), (-5.0, LEAST_LOAD), (75.0, 0.5)):
         held.note({"load": load})
         assert held.logs == pytest.approx((0.0, np.log(share), 0.0))
     held.note({})

@@ -24,6 +24,7 @@ from softsensor.fitting.paper.ode import Lines, lines_of
 from softsensor.fitting.problem import rows_with_panel
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
+from softsensor.signals.instrument import LOGGER_STEP_K
 from softsensor.signals.places import collect_signals
 from softsensor.signals.robust import channel_scatter
 
@@ -33,7 +34,7 @@ STOP = 1e-4
 
 # Numbers without another source were set by hand, 2026-11.
 
-LEAST_SCATTER_K = 0.1
+LEAST_SCATTER_K = LOGGER_STEP_K
 """Sensors that happen to agree better than they can read get no more weight. [K]"""
 STOP_COST = 1e-3
 """And the simplex when the cost does by less than this."""
