@@ -10,6 +10,8 @@ import errno
 import json
 import os
 import re
+import socket
+import sqlite3
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -114,6 +116,15 @@ def load_toml(path: Path, what: Message) -> dict[str, Any]:
 SYSTEM_FAULTS = {
     errno.EACCES: "system-not-allowed",
     errno.EADDRINUSE: "system-address-in-use",
+    errno.EBUSY: "system-busy",
+    errno.ECONNREFUSED: "system-connection-refused",
+    errno.ECONNRESET: "system-connection-reset",
+    errno.EHOSTUNREACH: "system-no-route",
+    errno.EIO: "system-input-output",
+    errno.ENETUNREACH: "system-no-network",
+    errno.ENODEV: "system-no-such-device",
+    errno.EPIPE: "system-broken-pipe",
+    errno.ETIMEDOUT: "system-timed-out",
     errno.EADDRNOTAVAIL: "system-address-not-here",
     errno.EEXIST: "system-exists-already",
     errno.EFBIG: "system-too-large",
@@ -126,21 +137,51 @@ SYSTEM_FAULTS = {
     errno.EROFS: "system-read-only",
 }
 """Why the system does not do what it is asked, by its number for it."""
+DATABASE_FAULTS = {
+    sqlite3.SQLITE_BUSY: "database-busy",
+    sqlite3.SQLITE_CANTOPEN: "database-not-opened",
+    sqlite3.SQLITE_CORRUPT: "database-damaged",
+    sqlite3.SQLITE_FULL: "database-full",
+    sqlite3.SQLITE_IOERR: "database-disk-failed",
+    sqlite3.SQLITE_LOCKED: "database-busy",
+    sqlite3.SQLITE_NOTADB: "database-none",
+    sqlite3.SQLITE_READONLY: "database-read-only",
+}
+"""Why SQLite does not do what it is asked, by its number for it."""
+LIBRARY_FAULTS = {
+    "unexpected end of data": "csv-quotation-open",
+    "expected after": "csv-quotation-followed",
+    "field larger than": "csv-cell-too-long",
+    "new-line character": "csv-line-end",
+    "Parquet file size is": "parquet-none",
+    "Parquet magic bytes": "parquet-none",
+    "CRC checksum": "parquet-page-damaged",
+}
+"""Why the readers of CSV and Parquet do not read a file, by a part of their words for it: they have no numbers."""
 
 
 def reason_of(error: Exception) -> Message | str:
-    """Return why something was not read or done: no UTF-8, no JSON, or what the system answered.
+    """Return why something was not read or done: no UTF-8, no JSON, or what system, database or library answered.
 
-    What is not among `SYSTEM_FAULTS` comes in its own words, so in English.
+    What stands in none of the tables above comes in its own words, so in English.
     """
+    if isinstance(error, sqlite3.Error) and hasattr(error, "sqlite_errorcode"):
+        code = DATABASE_FAULTS.get(error.sqlite_errorcode & 0xFF)
+        return Message(code, {}) if code else str(error)
+    if isinstance(error, socket.gaierror):
+        return say("system-name-unknown")
     if isinstance(error, OSError):
-        known = SYSTEM_FAULTS.get(error.errno or 0)
-        return Message(known, {}) if known else error.strerror or type(error).__name__
+        known = SYSTEM_FAULTS.get(errno.ETIMEDOUT if isinstance(error, TimeoutError) else error.errno or 0)
+        return Message(known, {}) if known else error.strerror or str(error) or type(error).__name__
+    for part, code in LIBRARY_FAULTS.items():
+        if part in str(error):
+            return Message(code, {})
     if isinstance(error, UnicodeDecodeError):
         return say("at-line", line=error.object.count(b"\n", 0, error.start) + 1, what=say("run-not-utf8"))
     if isinstance(error, json.JSONDecodeError):
         return say("json-invalid", line=error.lineno, column=error.colno)
-    return spoken(error)
+    several = not isinstance(error, InputError) and "\n" in str(error)
+    return str(error).partition("\n")[0] if several else spoken(error)
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:

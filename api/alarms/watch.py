@@ -63,7 +63,7 @@ def _send_next(store: Store, ways: Mapping[str, Way], clock: Callable[[], dateti
     except NotDelivered as error:
         store.put_off(delivery, str(error), clock())
         if delivery.tries == 1:
-            message = say("alarm-not-delivered", way=delivery.way, number=delivery.alarm.number, why=str(error))
+            message = say("alarm-not-delivered", way=delivery.way, number=delivery.alarm.number, why=spoken(error))
             store.log("warning", PROCESS, message, delivery.alarm.press)
         return False
     store.delivered(delivery, clock())

@@ -27,6 +27,7 @@ from daq.process.config import PORT
 from daq.process.notify import Notifier
 from daq.records import InputError
 from daq.store.store import Store
+from daq.tables import reason_of
 from daq.words import Message, say
 
 GRACE_S = 3
@@ -71,7 +72,7 @@ class Listening:
                 )
             except (ssl.SSLError, OSError) as error:
                 given = {"certificate": str(self.certificate), "key": str(self.key)}
-                raise InputError(say("api-certificate-unusable", why=str(error), **given)) from error
+                raise InputError(say("api-certificate-unusable", why=reason_of(error), **given)) from error
 
     def bind(self) -> socket.socket:
         """Take the port now, so that a taken one is reported in one line. Raises `InputError`."""

@@ -118,7 +118,7 @@ class Broker:
         try:
             self._client.connect(self._settings.host, self._settings.port, self._keepalive_s)
         except (OSError, ValueError) as error:
-            raise BrokerAway(say("plant-broker-unreachable", where=where, why=str(error))) from error
+            raise BrokerAway(say("plant-broker-unreachable", where=where, why=reason_of(error))) from error
         self._client.loop_start()
         self._wait(self._answered, "plant-broker-not-connected")
 

@@ -17,6 +17,7 @@ import serial
 
 from daq.drivers.protocol import Cause
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import Message, say
 
 # Numbers without another source were set by hand, 2026-11.
@@ -133,7 +134,7 @@ def _not_opened(what: Message, error: OSError | ValueError) -> LinkLost:
     number = error.errno if isinstance(error, OSError) else None
     cause = _WHY_NOT.get(errno.ETIMEDOUT if isinstance(error, TimeoutError) else number)
     if cause is None:
-        return LinkLost(say("at-place", place=what, what=str(error)))
+        return LinkLost(say("at-place", place=what, what=reason_of(error)))
     remedy = say(f"port-remedy-{cause.value.replace(' ', '-')}")
     return LinkLost(say("port-not-opened", what=what, cause=cause.message, remedy=remedy), cause)
 
@@ -163,7 +164,7 @@ class _SocketLink:
         try:
             self._socket.sendall(data)
         except OSError as error:
-            raise LinkLost(say("connection-lost", reason=str(error))) from error
+            raise LinkLost(say("connection-lost", reason=reason_of(error))) from error
 
     def read(self, wait_s: float) -> bytes:
         """Return what has come within so many seconds, nothing where nothing has. Raises LinkLost."""
@@ -173,7 +174,7 @@ class _SocketLink:
                 return b""
             data = self._socket.recv(4096)
         except (OSError, ValueError) as error:
-            raise LinkLost(say("connection-lost", reason=str(error))) from error
+            raise LinkLost(say("connection-lost", reason=reason_of(error))) from error
         if not data:
             raise LinkLost(say("connection-closed"))
         return data
@@ -204,7 +205,7 @@ class _SerialLink:
             self._port.write(data)
             self._port.flush()
         except (OSError, TypeError, ValueError) as error:
-            raise LinkLost(say("port-lost", reason=str(error))) from error
+            raise LinkLost(say("port-lost", reason=reason_of(error))) from error
 
     def read(self, wait_s: float) -> bytes:
         """Return what has come within so many seconds, nothing where nothing has. Raises LinkLost."""
@@ -222,7 +223,7 @@ class _SerialLink:
                 elif first := self._port.read(1):
                     return bytes(first) + bytes(self._port.read(self._port.in_waiting))
         except (OSError, TypeError, ValueError) as error:
-            raise LinkLost(say("port-lost", reason=str(error))) from error
+            raise LinkLost(say("port-lost", reason=reason_of(error))) from error
 
     def close(self) -> None:
         """Release it. A second call does no harm."""

@@ -294,7 +294,7 @@ def _rows(path: Path, file: FileTable) -> Iterator[_Row]:
         except StopIteration:
             return
         except csv.Error as error:
-            raise InputError(at(path, say("run-quotation", reason=str(error)), line=read[0])) from error
+            raise InputError(at(path, say("run-quotation", reason=reason_of(error)), line=read[0])) from error
         row = _Row(read[0], [cell for cell in cells if cell] if delimiter == " " else cells)
         names = names or row
         if len(row.cells) < len(names.cells) and any(names.cells[len(row.cells) :]):

@@ -269,7 +269,7 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
                 times = _parquet_times(path, file.read(columns=[time])[time], header)
                 rows = Rows({TIME: times, **rows.columns}, rows.texts)
     except (pa.ArrowInvalid, OSError) as error:
-        problem = say("run-no-parquet", reason=str(error).splitlines()[0])
+        problem = say("run-no-parquet", reason=reason_of(error))
         raise InputError(at(path, problem, column=_damaged_column(path))) from error
     check_rows(str(path), rows, temperatures=temperatures)
     return _run(path, header, rows)
@@ -282,7 +282,7 @@ def _read_archived(path: Path, file: pq.ParquetFile) -> Run:
     except NewerFormat:
         raise InputError(at(path, say("run-archive-newer"))) from None
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(at(path, say("run-no-parquet", reason=str(error)))) from error
+        raise InputError(at(path, say("run-no-parquet", reason=reason_of(error)))) from error
     if TIME not in columns.arrays:
         raise InputError(at(path, say("run-archive-former")))
     header = {k.decode(): _metadata_value(v.decode()) for k, v in file.metadata.metadata.items()}

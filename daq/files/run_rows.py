@@ -23,7 +23,7 @@ import pyarrow.csv as pacsv
 
 from daq.files.qualities import QUALITY, faults_of, wrong_quality
 from daq.records import COLDEST_C, HOTTEST_C, Array, BrokenTime, InputError
-from daq.tables import at
+from daq.tables import at, reason_of
 from daq.words import Message, say
 
 TIME = "time_s"
@@ -257,7 +257,7 @@ def _records(text: RowText) -> Iterator[tuple[int, list[str]]]:
             except StopIteration:
                 return
             except csv.Error as error:
-                problem = say("run-quotation", reason=str(error))
+                problem = say("run-quotation", reason=reason_of(error))
                 raise InputError(at(text.path, problem, line=number)) from error
             if len(cells) > 1 or (cells and cells[0].strip()):
                 yield number, cells

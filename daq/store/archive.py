@@ -46,6 +46,7 @@ from daq.store.reading import layout_channels, run_record, run_row
 from daq.store.records import ArchiveUnreadable, Moved, RunCore, RunStatus, StoreUnavailable
 from daq.store.run_scans import scans_of
 from daq.store.schema import ARCHIVE, ARCHIVE_TOTAL, ESTIMATE, FIT, PRESS, RUN, SCAN, SCAN_REMARK, UNFITTED
+from daq.tables import reason_of
 from daq.words import Message, say, spoken
 
 _NUMBER_BYTES = 8
@@ -83,7 +84,7 @@ def use_archive(database: Database, folder: Path) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(say("archive-folder-refused", folder=str(folder), reason=str(error))) from error
+            raise InputError(say("archive-folder-refused", folder=str(folder), reason=reason_of(error))) from error
         if there is None:
             none = {"runs": 0, "scans": 0, "bytes": 0, "removed": 0}
             connection.execute(insert(ARCHIVE_TOTAL), {"place": 1, "folder": str(folder), **none})
@@ -139,7 +140,8 @@ def archive_run(database: Database, run: str) -> Moved:
         written = write_archive(folder / file, scans, channels, header, about)
         beside_it = write_estimates(beside(folder / file), estimates) if estimates else None
     except OSError as error:
-        raise StoreUnavailable(say("archive-not-written", file=str(folder / file), reason=str(error))) from error
+        refused = say("archive-not-written", file=str(folder / file), reason=reason_of(error))
+        raise StoreUnavailable(refused) from error
     with database.writing() as connection:
         return _exchange(connection, row, _Taken(file, scans, written, estimates, beside_it, core))
 

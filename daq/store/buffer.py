@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 from daq.store.file_rescue import code_of, files_of, passes
 from daq.store.records import StoreUnavailable
 from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
+from daq.tables import reason_of
 from daq.words import Message, say, spoken
 
 Result = TypeVar("Result")
@@ -64,7 +65,7 @@ class Buffer:
             self._first_count()
         except (sqlite3.Error, OSError) as error:
             self._counted = _holds_nothing(path)
-            alarm(say("buffer-unusable", file=str(path), error=str(error)))
+            alarm(say("buffer-unusable", file=str(path), error=reason_of(error)))
 
     def __len__(self) -> int:
         """How many items wait, as far as is known: one at least in a file that could not be read yet."""
@@ -157,7 +158,7 @@ class Buffer:
 
     def refusal(self, error: Exception) -> Message:
         """Return in words why the file takes nothing."""
-        return say("buffer-refuses", file=str(self.path), error=str(error))
+        return say("buffer-refuses", file=str(self.path), error=reason_of(error))
 
     def notes(self) -> Mapping[int, dict[str, Any]]:
         """Return what is known of all sessions."""
@@ -212,11 +213,11 @@ class Buffer:
         gaps = rows[-1][0] - rows[0][0] + 1 - len(rows) if rows else 0
         lost = max(expected - len(rows), gaps)
         if aside.exists():
-            files = {"file": str(self.path), "aside": str(aside), "error": str(error)}
+            files = {"file": str(self.path), "aside": str(aside), "error": reason_of(error)}
             code = "buffer-damaged" if self._counted else "buffer-damaged-uncounted"
             self._alarm(say(code, kept=len(rows), lost=lost, **files))
         else:
-            self._alarm(say("buffer-gone", file=str(self.path), error=str(error), lost=lost))
+            self._alarm(say("buffer-gone", file=str(self.path), error=reason_of(error), lost=lost))
 
 
 def open_file(path: Path) -> sqlite3.Connection:

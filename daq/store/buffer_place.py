@@ -10,6 +10,7 @@ from pathlib import Path
 from daq.records import InputError
 from daq.store.buffer import hours_of_room, open_file
 from daq.store.file_rescue import remove_trial
+from daq.tables import reason_of
 from daq.words import say
 
 
@@ -36,7 +37,7 @@ def try_place(path: Path, per_second: float) -> float:
         with closing(open_file(trial)) as connection:
             connection.execute("INSERT INTO parcel VALUES (1, '{}')")
     except (sqlite3.Error, OSError) as error:
-        raise InputError(say("buffer-place-refused", file=str(path), reason=str(error))) from error
+        raise InputError(say("buffer-place-refused", file=str(path), reason=reason_of(error))) from error
     finally:
         remove_trial(trial)
     return hours_of_room(folder, per_second)

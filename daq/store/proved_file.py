@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from daq.files.parquet_columns import Columns, NewerFormat, columns_of, write_columns
 from daq.records import InputError
 from daq.store.records import ArchiveUnreadable
+from daq.tables import reason_of
 from daq.words import say
 
 SUM = ".sha256"
@@ -71,7 +72,7 @@ def sound_content(path: Path, sha256: str) -> bytes:
     except FileNotFoundError:
         raise ArchiveUnreadable(say("archive-file-missing", file=str(path))) from None
     except OSError as error:
-        raise ArchiveUnreadable(say("archive-file-unreadable", file=str(path), reason=str(error))) from error
+        raise ArchiveUnreadable(say("archive-file-unreadable", file=str(path), reason=reason_of(error))) from error
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ArchiveUnreadable(say("archive-file-damaged", file=str(path)))
     return content

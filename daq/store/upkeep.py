@@ -28,6 +28,7 @@ from daq.store.reading import first_number_from
 from daq.store.records import RunStatus, StoreUnavailable
 from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, IDLE_THINNED, METADATA, MODEL, PRESS, RUN, SCAN
 from daq.store.upsert import put
+from daq.tables import reason_of
 from daq.words import say
 
 _BATCH = 20_000
@@ -85,7 +86,7 @@ def back_up(database: Database, target: Path) -> Contents:
         part.replace(target)
         update_manifest(target.parent, [target])
     except (sqlite3.Error, OSError) as error:
-        raise StoreUnavailable(say("backup-failed", file=str(target), error=str(error))) from error
+        raise StoreUnavailable(say("backup-failed", file=str(target), error=reason_of(error))) from error
     finally:
         remove_trial(part)
     return contents
@@ -158,7 +159,7 @@ def verify(path: Path) -> Contents:
             own = _NOT_ARCHIVED if schema >= _WITH_ARCHIVE else ""
             short = connection.execute(_RUNS_WITHOUT_ENDS.format(own=own)).fetchone()
     except sqlite3.Error as error:
-        raise InputError(say("backup-unsound", file=str(path), error=str(error))) from error
+        raise InputError(say("backup-unsound", file=str(path), error=reason_of(error))) from error
     if schema > (known := max(migrations())):
         raise InputError(say("backup-newer", file=str(path), schema=schema, known=known))
     if short is not None:

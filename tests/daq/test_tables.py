@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import socket
+import sqlite3
+from contextlib import closing
+
 import pytest
 
 from daq.drivers.calibration import read_calibrations
+from daq.files.run_file import read_run
 from daq.press.press_file import parse_press, read_press
 from daq.press.resin_file import read_resin
 from daq.process.config import Config, load_config
 from daq.records import InputError
-from daq.tables import LARGEST_BYTES, fields_at, nearest, read_toml
-from daq.words import spoken
+from daq.tables import LARGEST_BYTES, fields_at, nearest, read_toml, reason_of
+from daq.words import Message, spoken
 from daq.words.message import words
 from softsensor.jobs.model_files import read_model
 
@@ -105,3 +110,29 @@ def test_of_a_file_without_end_only_a_bounded_piece_is_read(tmp_path, read):
     path.write_text(PANEL + "# " + LARGEST_BYTES * "x")
     with pytest.raises(InputError, match=r"wrong.toml: .*File too large"):
         read(path)
+
+
+def test_what_libraries_and_system_say_stands_in_the_readers_language(tmp_path):
+    def read(name, content):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError) as refused:
+            read_run(tmp_path / name)
+        return words(spoken(refused.value), "de")
+
+    head = b"time_s,platen_top,remark\n"
+    assert "Ein Anführungszeichen ist nicht geschlossen" in read("open.csv", head + b'0,20.0,"x\n')
+    assert "folgt Text" in read("after.csv", head + b'0,20.0,"x"y\n')
+    assert "ihr Ende ist nicht das einer Parquet-Datei" in read("cut.parquet", b"PAR1" + b"x" * 100)
+    assert "ihr Ende ist nicht das einer Parquet-Datei" in read("short.parquet", b"PAR1")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    for error in (ConnectionResetError(104, "Connection reset by peer"), TimeoutError("timed out")):
+        assert isinstance(reason_of(error), Message)
+    with pytest.raises(ConnectionRefusedError) as refused:
+        socket.create_connection(("127.0.0.1", port), 5)
+    assert reason_of(refused.value) == Message("system-connection-refused", {})
+    (tmp_path / "none.sqlite").write_bytes(b"no database at all" * 300)
+    opened = closing(sqlite3.connect(tmp_path / "none.sqlite"))
+    with opened as connection, pytest.raises(sqlite3.DatabaseError) as damaged:
+        connection.execute("SELECT * FROM sqlite_master").fetchall()
+    assert reason_of(damaged.value) == Message("database-none", {})
