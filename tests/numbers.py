@@ -13,7 +13,8 @@ REMARK_OF_MODULE = re.compile(
     "(?:Numbers|Thresholds) without another source were set by hand|numbers (?:below )?were set by hand"
 )
 SOURCE = re.compile(
-    r"\b(?:CODATA|Handbook|ISO|IEC|IAPWS|NIST|NAMEDATALEN|doi|et al|TR-BDF2|by definition|half[- ]space|seeds?|"
+    r"\b(?:CODATA|Handbook|Simpson|EN \d{3,5}(?:-\d)?|"
+    r"ISO|IEC|IAPWS|NIST|NAMEDATALEN|doi|et al|TR-BDF2|by definition|half[- ]space|seeds?|"
     r"default)\b"
 )
 """Names a table, a paper, a definition, a closed solution, or a calibration with what it was drawn with."""
@@ -25,6 +26,8 @@ GUARD = 1e-6
 """So small a number keeps a division, a root or a logarithm from nothing, and moves no answer."""
 OF_UNITS = (1e-3, 10.0, 60.0, 100.0, 1e3, 3600.0, 86400.0, 1e6, 1e9)
 """A factor or divisor that turns a unit into another, a share into percent."""
+SHARES = "report"
+"""A call that says what share of a work is done."""
 DRAWING = (
     "softsensor/report/",
     "softsensor/face/showing.py",
@@ -136,9 +139,11 @@ def numbers_in_functions(path: Path) -> Iterator[tuple[float, int]]:
     """Yield value and line of each number that stands bare in a function: what it is and whence nobody says.
 
     Numbers with a point are meant; without one they count rows, digits, axes and the statuses of HTTP. None of
-    these: `PLAIN`, guards, and numbers `OF_UNITS` where they multiply or divide.
+    these: `PLAIN`, guards, numbers `OF_UNITS` where they multiply or divide, shares of a work that is reported,
+    and those on whose line a comment names their source.
     """
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    lines, tree = text.split("\n"), ast.parse(text)
     functions = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
     bodies = (n.body if isinstance(n.body, list) else [n.body] for n in functions)
     inside = {node for body in bodies for statement in body for node in ast.walk(statement)}
@@ -148,8 +153,12 @@ def numbers_in_functions(path: Path) -> Iterator[tuple[float, int]]:
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div)
         for side in (node.left, node.right)
     }
-    for node in inside:
+    calls = (n for n in inside if isinstance(n, ast.Call) and isinstance(n.func, ast.Name) and n.func.id == SHARES)
+    reported = {node for call in calls for node in ast.walk(call)}
+    for node in inside - reported:
         if not (isinstance(node, ast.Constant) and isinstance(node.value, float)):
+            continue
+        if SOURCE.search(lines[node.lineno - 1].partition("#")[2]):
             continue
         if node.value in PLAIN or node.value <= GUARD or (node in factors and node.value in OF_UNITS):
             continue

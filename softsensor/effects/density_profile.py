@@ -13,7 +13,7 @@ from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-    factor = on_panel(scene, 1.0 + values["amplitude"] * (scene.z**4 - 0.2), 1.0)
+    factor = on_panel(scene, 1.0 + values["amplitude"] * (scene.z**4 - 0.2), 1.0)  # its mean, by definition
     return Terms(conductivity=factor, capacity=factor)
 
 

@@ -37,6 +37,8 @@ ENDS = ("boundary.bottom", "boundary.top")
 
 # Numbers without another source were set by hand, 2026-11.
 
+_PARABOLA = 4.0
+"""Times u (1 - u) it is 1 in the middle, by definition."""
 LEAST_SHARE = 1e-9
 """An interface that conducts less than this share of the best one conducts nothing."""
 
@@ -205,9 +207,9 @@ def _between(
     for i, (low, high) in enumerate(pairwise(groups)):
         u, d_u = along.share(case, (low[0], high[0]))
         name = f"start_{sum(map(len, groups[: i + 1])) - 1}_K"
-        rise, bend = values[i + 1] - values[i], 4.0 * request.values.get(name, 0.0)
+        rise, bend = values[i + 1] - values[i], _PARABOLA * request.values.get(name, 0.0)
         t += u * rise + bend * u * (1.0 - u)
         s += d_u * (rise + bend * (1.0 - 2.0 * u)) + np.outer(d_values[i + 1] - d_values[i], u)
         if name in request.names:
-            s[request.names.index(name)] += 4.0 * u * (1.0 - u)
+            s[request.names.index(name)] += _PARABOLA * u * (1.0 - u)
     return t, s

@@ -46,9 +46,9 @@ UNSEEN_SHARE = 0.1
 """Of a core's rise that the model may miss where no run was held against it: k and c of wood change by 12 to 30 %
 over 100 K (the catalogue's ``conductivity_temperature`` and ``heat_capacity_temperature``), of which a pressing
 sees half, and offset each other in part. By hand, 2026-11."""
-UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
-"""What earlier runs leave unexplained at the faces counts so many times in a core that has risen so far. [-, K]
-By hand."""
+UNEXPLAINED_PER_K = 1.5 / 40.0
+"""What earlier runs leave unexplained at the faces counts one and a half times in a core that has risen by 40 K.
+By hand. [1/K]"""
 CONDUCTIVITY = "panel.conductivity_W_mK"
 WITHIN_CAPACITY = {"panel.density_kg_m3": 0.0}
 """What panels of one press differ by in rho c is stated for both together (issue 18; a fit joins them,
@@ -269,4 +269,4 @@ def _share(missing: MissingCauses | None) -> float:
     """Return the share of a core's rise that the model may miss."""
     if missing is None:
         return UNSEEN_SHARE
-    return UNEXPLAINED * missing.unexplained_K / FULL_RISE_K
+    return UNEXPLAINED_PER_K * missing.unexplained_K

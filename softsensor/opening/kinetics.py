@@ -297,7 +297,7 @@ def _laid_out(kelvin: float, rates: Callable[[Array], tuple[Array, Array]], sd: 
     total = summands.sum(axis=1)
     integrand = cure * (1.0 - cure) / total
     step = logit[1] - logit[0]
-    pairs = (integrand[:-2:2] + 4.0 * integrand[1::2] + integrand[2::2]) * (step / 3.0)
+    pairs = (integrand[:-2:2] + 4.0 * integrand[1::2] + integrand[2::2]) * (step / 3.0)  # Simpson
     first = cure[0] / total[0]  # up to here the rate is that of uncured resin
     time = first + np.concatenate([[0.0], np.cumsum(pairs)])
     return Kinetics(

@@ -61,7 +61,7 @@ def saturation_kPa(temperature_C: Array | float) -> Array:  # noqa: N802
     a = v**2 + _N[0] * v + _N[1]
     b = _N[2] * v**2 + _N[3] * v + _N[4]
     c = _N[5] * v**2 + _N[6] * v + _N[7]
-    return np.asarray(1e3 * (2.0 * c / (-b + np.sqrt(b**2 - 4.0 * a * c))) ** 4)
+    return np.asarray(1e3 * (2.0 * c / (-b + np.sqrt(b**2 - 4.0 * a * c))) ** 4)  # IAPWS-IF97
 
 
 def equilibrium_moisture(humidity: Array | float, temperature_C: Array | float) -> Array:
@@ -76,7 +76,7 @@ def equilibrium_moisture(humidity: Array | float, temperature_C: Array | float) 
     weight, K, K1, K2 = (a + b * t + c * t**2 for a, b, c in (_WEIGHT, _K, _K1, _K2))
     Kh = K * np.clip(humidity, 0.0, 1.0)
     hydrates = (K1 * Kh + 2.0 * K1 * K2 * Kh**2) / (1.0 + K1 * Kh + K1 * K2 * Kh**2)
-    return np.asarray(1800.0 / weight * (Kh / (1.0 - Kh) + hydrates))
+    return np.asarray(1800.0 / weight * (Kh / (1.0 - Kh) + hydrates))  # Wood Handbook
 
 
 class Steam(NamedTuple):
