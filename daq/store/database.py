@@ -189,8 +189,9 @@ class Database:
     def reading(self) -> Iterator[Connection]:
         """Open a transaction that only reads: one consistent state of the store."""
         self._check_file()
-        with self.translated(), self.engine.connect() as connection, connection.begin():
+        with self.translated(), self.engine.connect() as connection, connection.begin() as transaction:
             yield connection
+            transaction.rollback()  # nothing was written; SQLite commits nothing beside a torn page
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:

@@ -11,7 +11,14 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, case
 
 from daq.records import Channel, InputError, Moments, Quality, Scan
 from daq.store.convert import channel_qualities, known_utc, nan, utc_of
-from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, ScansUnreadable, StoredPressEvent
+from daq.store.records import (
+    Page,
+    RunRecord,
+    RunStatus,
+    ScanBatch,
+    ScansUnreadable,
+    StoredPressEvent,
+)
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN
 from daq.store.sound_rows import (
     is_object,
@@ -22,6 +29,7 @@ from daq.store.sound_rows import (
     sound,
     stored_header,
 )
+from daq.store.torn_page import scan_rows
 from daq.words import Message, say, spoken
 
 # Numbers without another source were set by hand, 2026-11.
@@ -252,17 +260,13 @@ def first_number_from(connection: Connection, press_id: int, unix_s: float) -> i
 def scans_after(connection: Connection, press: str, last_number: int, limit: int = 1000) -> ScanBatch:
     """Return the scans, all of one layout, that follow `last_number`: start with -1, go on with the last one's.
 
-    A scan that cannot be read any more has no value: who follows a press must not stop at it.
+    A scan that cannot be read any more has no value, and those on a page that is torn are passed over: who follows
+    a press must not stop at them. Raises `StoreUnavailable` where the newest lie on such a page.
     """
     press_id = recorded_id(connection, press)
     if press_id is None:
         return ScanBatch((), ())
-    rows = connection.execute(
-        select(SCAN)
-        .where(SCAN.c.press_id == press_id, SCAN.c.number > last_number)
-        .order_by(SCAN.c.number)
-        .limit(limit)
-    ).all()
+    rows, passed_over = scan_rows(connection, press, press_id, last_number, limit)
     if not rows:
         return ScanBatch((), ())
     same = [row for row in rows if row.layout_id == rows[0].layout_id]
@@ -280,7 +284,7 @@ def scans_after(connection: Connection, press: str, last_number: int, limit: int
         )
         for i, row in enumerate(same)
     )
-    return ScanBatch(named, scans, tuple(sorted(same[i].number for i in damaged)))
+    return ScanBatch(named, scans, (*passed_over, *sorted(same[i].number for i in damaged)))
 
 
 def press_events(

@@ -128,14 +128,14 @@ def sound(connection: Connection, whose: Whose) -> Iterator[None]:
     except InputError:
         raise
     except DBAPIError as error:
-        if not _torn(error):
+        if not is_torn(error):
             raise
         raise _all_damaged(connection, whose) from error
     except (TypeError, ValueError) as error:
         raise _all_damaged(connection, whose) from error
 
 
-def _torn(error: DBAPIError) -> bool:
+def is_torn(error: DBAPIError) -> bool:
     """Whether an engine found what it keeps damaged, and not just out of reach."""
     reason = error.orig
     if isinstance(reason, sqlite3.Error):

@@ -90,8 +90,16 @@ def test_a_torn_page_costs_the_runs_on_it_alone_and_the_terminal_names_run_and_r
         assert len(store.load_run("one").time_s) == len(store.load_run("three").time_s) == 300
         with pytest.raises(ScansUnreadable, match=r"run two: .* kerntemp backup --restore"):
             store.load_run("two")
-        with pytest.raises(StoreUnavailable, match="damaged"):
-            store.scans_after("lab", 310, 200)
+        followed, lost, last = [], [], -1
+        while (batch := store.scans_after("lab", last, 100)).scans:
+            followed += [one.number for one in batch.scans]
+            lost += batch.damaged
+            last = followed[-1]
+        gone = sorted(set(range(900)) - set(followed))
+        assert gone == list(range(gone[0], gone[-1] + 1)), "one page of the second run"
+        assert 300 <= gone[0] <= gone[-1] < 600
+        assert followed == sorted(followed)
+        assert lost == [gone[0]]
     assert main(["export", "two", "--out", str(tmp_path / "two.csv"), "--store", str(path)]) == 2
     output = capsys.readouterr().err
     assert "run two" in output
@@ -99,6 +107,13 @@ def test_a_torn_page_costs_the_runs_on_it_alone_and_the_terminal_names_run_and_r
     assert "kerntemp backup --restore" in output
     assert not (tmp_path / "two.csv").exists()
     assert main(["export", "three", "--out", str(tmp_path / "three.csv"), "--store", str(path)]) == 0
+    tear(path, b"[200.0,919.0,")
+    with open_store(str(path)) as store, pytest.raises(StoreUnavailable) as refused:
+        store.scans_after("lab", 898, 100)
+    for part in ("press lab", "scan ", str(path), "kerntemp backup --restore"):
+        assert part in str(refused.value)
+    with open_store(str(path)) as store:
+        assert store.scans_after("lab", 250, 10).scans[-1].number == 260
 
 
 def tear(path, holds):
