@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import erfc
 
+from daq.press.detector import _FaceRow
 from daq.press.events import PressEventDetector, find_moments
 from daq.press.faces import Face
 from daq.press.moments import closing_moment, opening_moment
@@ -600,3 +601,22 @@ def test_insertion_of_a_run_that_never_closes_is_kept():
     assert math.isnan(found.closed_s)
     assert found.inserted_s == pytest.approx(truth.moments.inserted_s, abs=1.0)
     assert truth.moments.inserted_s > short.time_s[0] + 1.5
+
+
+@pytest.mark.parametrize(("upper_C", "inserted"), [(60.0, True), (70.0, False)])
+def test_an_upper_face_that_warms_half_as_far_as_the_lower_one_is_no_insertion(upper_C, inserted):
+    detector, found = PressEventDetector(PRESS), []
+    for i in range(600):
+        share = min(max(i / 10.0 - 40.0, 0.0) / 3.0, 1.0)
+        lower, upper = (25.0 + share * (to_C - 25.0) for to_C in (110.0, upper_C))
+        scan = {"platen_top": 200.0, "platen_bottom": 200.0}
+        scan |= {f"bottom_{n}": lower for n in range(1, 8)} | {f"top_{n}": upper for n in range(1, 8)}
+        found += detector.update(i / 10.0, scan)
+    assert [event.kind for event in found] == ([PressEventKind.INSERTED] if inserted else [])
+
+
+def test_one_sensor_far_from_the_rest_does_not_spread_a_face_of_many():
+    detector = PressEventDetector(PRESS)
+    for values, spread_K in (((20.0, 30.0, 31.0, 90.0), 1.0), ((20.0, 30.0, 90.0), 70.0), ((20.0,), 0.0)):
+        row = _FaceRow(0.0, 0.0, 0.0, 0.0, {}, {f"bottom_{i}": value for i, value in enumerate(values)})
+        assert detector._spread(row) == spread_K
