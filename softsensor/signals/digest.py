@@ -38,7 +38,7 @@ from softsensor.signals.instrument import (
     SCAN_SKEW_S,
 )
 from softsensor.signals.moments import Switch, moments_seen, switch_of
-from softsensor.signals.places import Place
+from softsensor.signals.places import Place, without_outliers
 from softsensor.signals.screen import ChannelFault, faces_of, faulty_channels
 from softsensor.signals.spikes import Spikes, without_spikes
 
@@ -225,14 +225,16 @@ class Screened(NamedTuple):
 
 
 def screened_digest(press: Press, run: Run) -> Screened:
-    """Boil a run down without its faulty channels and the platens' single bad cells.
+    """Boil a run down without its faulty channels and the single bad cells of platens and faces.
 
     Raises InputError as `digest_run`.
     """
     run, spikes = without_spikes(press, run)
     moments = moments_seen(run, press)
     faults = faulty_channels(press, run, moments)
-    return Screened(digest_run(press, run, moments, frozenset(f.column for f in faults)), faults, spikes)
+    excluded = frozenset(fault.column for fault in faults)
+    sound = without_outliers(press, run, excluded)
+    return Screened(digest_run(press, sound, moments, excluded), faults, spikes)
 
 
 def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, tuple[str, ...]]:

@@ -10,7 +10,7 @@ intervals three to ten times too narrow here (noise correlated over 10 to 30 s a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -114,6 +114,17 @@ def collect_signals(press: Press, run: Run, moments: Moments) -> Signals:
         places.append(Place.of(label, good, values))
         cells |= {c: values[:, i] for i, c in enumerate(good)}
     return Signals(run.time_s, tuple(places), cells, findings, dropped)
+
+
+def without_outliers(press: Press, run: Run, excluded: Container[str]) -> Run:
+    """Return a run without single cells far from the rest of their face, excluded channels aside."""
+    columns = dict(run.columns)
+    for named in faces_of(press, run)[0].values():
+        good = [c for c in named if c not in excluded]
+        if good:
+            values, _ = _drop_outliers(np.stack([run.columns[c] for c in good], axis=1))
+            columns |= {c: values[:, i] for i, c in enumerate(good)}
+    return replace(run, columns=columns)
 
 
 def _drop_outliers(values: Array) -> tuple[Array, int]:

@@ -55,6 +55,9 @@ def without_spikes(press: Press, run: Run) -> tuple[Run, tuple[Spikes, ...]]:
 
 
 def _running_median(values: Array) -> Array:
-    """Return the median of each value and its neighbours, `SPIKE_WINDOW` of them; an end's go on beyond it."""
-    padded = np.pad(values, SPIKE_WINDOW // 2, mode="edge")
+    """Return the median of each value and its neighbours, `SPIKE_WINDOW` of them; beyond an end they come again.
+
+    The end itself does not: it would be the middle of its own neighbours, whatever it is.
+    """
+    padded = np.pad(values, SPIKE_WINDOW // 2, mode="reflect")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, SPIKE_WINDOW), axis=1))
