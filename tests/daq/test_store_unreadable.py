@@ -153,13 +153,13 @@ HEADERS = {
 
 
 def spoil_header(store, run, damage):
-    """Damage a run's header as the disk does; bytes that are no UTF-8 only SQLite gives out again."""
+    """Damage a run's header as the disk does; a server refuses bytes that are no UTF-8 and gets others."""
+    if damage == "flipped bytes" and store.database.dialect != "sqlite":
+        damage = "no text at all"
     with store.database.writing() as connection:
         if damage != "flipped bytes":
             connection.execute(update(RUN).where(RUN.c.run == run).values(header_toml=HEADERS[damage]))
             return
-        if store.database.dialect != "sqlite":
-            pytest.skip("a server refuses bytes that are no UTF-8")
         flipped = "UPDATE run SET header_toml = CAST(x'78203d2022ff22' AS TEXT) WHERE run = :run"
         connection.execute(text(flipped), {"run": run})
 

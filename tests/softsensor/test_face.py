@@ -667,7 +667,7 @@ def results(fitted):
     (measured,) = make_campaign(77, 1, plan=Plan(rate_hz=1.0, thickness_mm=16.0))
     run, truth = measured
     model = softsensor.ThermalModel(parse_press(press_toml()))
-    found = softsensor.diagnose(SAMPLES[5:8], LAB, effects=["edge_loss"])
+    found = softsensor.diagnose(SAMPLES[5:8], LAB, effects=["moisture_evaporation"])
     return {
         "advise": softsensor.advise(LAB, fitted, limits={"core_least_C": 90.0}),
         "diagnose": found,
