@@ -204,7 +204,7 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     BrokenTime
         For times that fall or rows missing for more than `heat.run_checks.MAX_GAP_S`.
     BoundaryGap
-        For a measured boundary or a load that is empty for more than `heat.run_checks.MAX_BRIDGE_S`.
+        For a measured boundary or a load that is empty for more than `heat.run_checks.bridged_s`.
     OutsideLayer
         For a sensor outside its layer.
     Nonphysical

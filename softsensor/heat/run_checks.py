@@ -31,8 +31,8 @@ from softsensor.heat.timing import OPENING_RAMP_S
 LARGEST = float(np.finfo(float).max)
 """The largest number that a model can hold."""
 MAX_BRIDGE_S = 10.0
-"""Missing cells of a boundary column are bridged by a straight line up to this long; the live sensor, which cannot
-know what comes, holds the last reading as long. Set by hand, 2026-11. [s]"""
+"""Missing cells of a boundary column are bridged by a straight line up to this long (`bridged_s`: a slow
+logger); the live sensor, which cannot know the next, holds the last reading as long. Set by hand, 2026-11. [s]"""
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -144,7 +144,7 @@ def load_series(run: Run, load: Load) -> Array | None:
     Raises
     ------
     BoundaryGap
-        Where the column is empty for more than `MAX_BRIDGE_S`.
+        Where the column is empty for longer than `bridged_s`.
     Nonphysical
         For a load that is not finite, or below 0 by more than a hundredth of the largest.
     """
@@ -162,7 +162,7 @@ def load_series(run: Run, load: Load) -> Array | None:
         raise Nonphysical(say("load-impossible", run=where, column=column, value=value, time=time))
     hole = _worst_gap(run.time_s, good)
     if hole is not None:
-        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": MAX_BRIDGE_S}
+        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": bridged_s(run.time_s)}
         raise BoundaryGap(say("load-gap", run=where, column=column, **gap))
     return np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
 
@@ -234,9 +234,17 @@ def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
         raise BoundaryGap(say("boundary-empty", run=where, column=column, end=name))
     hole = _worst_gap(run.time_s, good)
     if hole is not None:
-        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": MAX_BRIDGE_S}
+        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": bridged_s(run.time_s)}
         raise BoundaryGap(say("boundary-gap", run=where, column=column, end=name, **gap))
     return np.interp(run.time_s, run.time_s[good], values[good])
+
+
+def bridged_s(time_s: Array) -> float:
+    """Return for how long a column may be empty: `MAX_BRIDGE_S`, and of a slow logger a single cell. [s]
+
+    One cell makes a gap of two periods, two make one of three: the limit lies between.
+    """
+    return max(MAX_BRIDGE_S, min(0.5 * (2 + 3) * float(np.median(np.diff(time_s))), MAX_GAP_S))
 
 
 def _worst_gap(time_s: Array, good: NDArray[np.bool_]) -> tuple[float, float] | None:
@@ -255,4 +263,4 @@ def _worst_gap(time_s: Array, good: NDArray[np.bool_]) -> tuple[float, float] | 
         ),
     )
     worst = int(np.argmax(gap))
-    return (float(time_s[holes[worst]]), float(gap[worst])) if gap[worst] > MAX_BRIDGE_S else None
+    return (float(time_s[holes[worst]]), float(gap[worst])) if gap[worst] > bridged_s(time_s) else None

@@ -45,6 +45,17 @@ def test_a_short_gap_in_a_boundary_is_bridged_by_a_straight_line(lab_press, make
     assert np.abs(found - expected).max() < 1e-9
 
 
+@pytest.mark.parametrize(("first", "last"), [(0, 1), (4, 5), (9, 10)])
+def test_a_slow_logger_may_lose_a_single_cell_of_a_boundary_and_not_two(lab_press, make_run, moments, first, last):
+    whole = make_run(end=60.0)
+    run = whole.at_rows(np.linspace(0, len(whole.time_s) - 1, 10).round().astype(int))
+    run.columns["platen_top"][first:last] = np.nan
+    prepared(lab_press, run, moments)
+    run.columns["platen_top"][3:5] = np.nan
+    with pytest.raises(BoundaryGap, match=r"'platen_top' is empty for 20\.\d s around time_s = "):
+        prepared(lab_press, run, moments)
+
+
 @pytest.mark.parametrize(("first", "last"), [(0, 150), (200, 350), (400, 600)])
 def test_a_long_gap_in_a_boundary_is_refused_with_its_length_and_place(lab_press, make_run, moments, first, last):
     run = make_run(end=60.0)
