@@ -18,17 +18,17 @@ from softsensor.heat.model import PANEL_SHARES, ThermalModel
 from softsensor.signals.digest import Digest, MeanNoise, Whitened
 from softsensor.signals.instrument import (
     FREE_SPREAD_LOG,
-    LEAST_SPREAD_LOG,
     MEAN_FAST_K,
     MEAN_SLOW_K,
     MEAN_WHITE_K,
+    SEEN_SPREAD_LOG,
 )
 
 # Numbers without another source were set by hand, 2026-11.
 
 COARSEST = 3.0
 """The search works with the noise up to so many times larger where the base model is far off."""
-SPREAD_LIMITS = (LEAST_SPREAD_LOG, FREE_SPREAD_LOG)
+SPREAD_LIMITS = (SEEN_SPREAD_LOG, FREE_SPREAD_LOG)
 """Of the logarithm of coefficients between runs."""
 START_NOISE = MeanNoise(MEAN_SLOW_K, MEAN_FAST_K, MEAN_WHITE_K)
 

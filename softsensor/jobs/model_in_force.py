@@ -18,7 +18,7 @@ from softsensor.diagnosis.missing_causes import stored_missing_causes
 from softsensor.fitting.constants import THICKNESS, ConstantFit, with_constants_of
 from softsensor.heat.model_file import FittedValue, ModelFile, SisterScatter
 from softsensor.live.priors import spread_of
-from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LOG, SPREAD_RUNS
+from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, LIVE_SPREAD_RUNS, SPREAD_LOG
 from softsensor.signals.pressed import all_products, products
 
 PRESS_FILE = "press file"
@@ -152,7 +152,7 @@ def next_version(store: Store, press: str) -> str:
 def spread_with(before: float, variance: float, count: int) -> float:
     """Return how far a coefficient's logarithm scatters: as was likely before, and as `count` runs show it."""
     return math.sqrt(
-        max((SPREAD_RUNS * before**2 + count * variance) / (SPREAD_RUNS + count), LEAST_SPREAD_LOG**2)
+        max((LIVE_SPREAD_RUNS * before**2 + count * variance) / (LIVE_SPREAD_RUNS + count), LEAST_SPREAD_LOG**2)
     )
 
 

@@ -114,9 +114,16 @@ GUESS_LOG = 0.7
 SPREAD_LOG = 0.15
 """Of the logarithm of a coefficient from pressing to pressing, before runs have shown it: 12 to 30 % were seen."""
 SPREAD_RUNS = 2.0
-"""How many runs that counts for beside those that show it. By hand."""
+"""How many runs that counts for beside those that show it, in a fit, which only sees the runs it has. By hand."""
+LIVE_SPREAD_RUNS = 4.0
+"""The same in the live sensor, whose band must hold in the next run. By hand."""
 FREE_SPREAD_LOG = 0.4
 """The spread in the diagnosis' first fit, wider than what was seen so that it is free. By hand, 2026-11."""
+SEEN_SPREAD_LOG = 0.12
+"""The same at least in a diagnosis, whatever its runs show: the least of what was seen (`SPREAD_LOG`).
+
+With `LEAST_SPREAD_LOG` in its place the four moist discs left to char are "not described" instead of moist in a
+set of three (2026-11-27)."""
 LEAST_SPREAD_LOG = 0.05
 """The same at least, whatever a few runs show: smaller scatter is luck. By hand."""
 
