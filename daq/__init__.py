@@ -71,12 +71,14 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use (PEP 562)."""
-    if name not in __all__:
-        raise AttributeError(f"module 'daq' has no attribute {name!r}; it has {', '.join(__all__)}")
-    found = globals()[name] = getattr(import_module(_HOMES.get(name, "daq.face")), name)
-    return found
+if not TYPE_CHECKING:  # checkers read the imports above, and see a misspelt name
+
+    def __getattr__(name: str) -> Any:
+        """Load a public name on first use (PEP 562)."""
+        if name not in __all__:
+            raise AttributeError(f"module 'daq' has no attribute {name!r}; it has {', '.join(__all__)}")
+        found = globals()[name] = getattr(import_module(_HOMES.get(name, "daq.face")), name)
+        return found
 
 
 def __dir__() -> list[str]:

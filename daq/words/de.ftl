@@ -277,6 +277,7 @@ given-no-press-name = { $found }: der Name einer Presse wird als Text angegeben
 given-no-ranges = { $found }: Bereiche werden als Zuordnung von je zwei Zahlen zu Namen angegeben, etwa {"{"}"press_time_s": (60.0, 240.0){"}"}
 given-no-resin = { $found }: ein Harz wird mit dem Pfad einer Harzdatei angegeben oder als Resin
 given-no-run = { $found }: eine Pressung wird mit dem Pfad einer CSV- oder Parquet-Datei angegeben, als pandas-Tabelle oder als Run; die Tabelle einer anderen Bibliothek geht mit ihrem to_pandas()
+given-no-scan = { $found }: eine Abtastung wird als Zuordnung von Zahlen zu Spalten angegeben oder als Zeile einer Tabelle
 given-no-settings = { $found }: Einstellungen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"press_time_s": 90.0{"}"}
 given-no-store = { $found }: eine Datenbank wird mit dem Pfad ihrer Datei angegeben oder mit ihrer Adresse postgresql://
 given-no-table = { $found }: eine Tabelle wird als DataFrame von pandas angegeben; die einer anderen Bibliothek geht mit ihrem to_pandas()
@@ -753,6 +754,7 @@ layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pre
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
 live-sensor-of-press = Live-Sensor der Presse { $press }
+live-time-no-number = Abtastung um { $time }: ihre Zeit wird in Sekunden angegeben, als Zahl; bei einer Tabelle mit Zeitpunkten als Index die Sekunden seit deren erster Zeile
 live-time-not-rising = eine Messzeile bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einer bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen
 live-value-no-number = Spalte { $column }: { $value } ist keine Zahl; für einen fehlenden Wert NaN oder None angeben
 load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen

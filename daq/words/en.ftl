@@ -277,6 +277,7 @@ given-no-press-name = { $found }: the name of a press is given as a text
 given-no-ranges = { $found }: ranges are given as a mapping of two numbers by name, such as {"{"}"press_time_s": (60.0, 240.0){"}"}
 given-no-resin = { $found }: a resin is given as the path of a resin file, or as a Resin
 given-no-run = { $found }: a run is given as the path of a CSV or Parquet file, a pandas table, or a Run; another library's table comes in by its to_pandas()
+given-no-scan = { $found }: a scan is given as a mapping of numbers by column, or as a row of a table
 given-no-settings = { $found }: settings are given as a mapping of numbers by name, such as {"{"}"press_time_s": 90.0{"}"}
 given-no-store = { $found }: a store is given as the path of its file, or as its postgresql:// address
 given-no-table = { $found }: a table is given as a pandas DataFrame; another library's comes in by its to_pandas()
@@ -753,6 +754,7 @@ layer-from-run-without-panel = layer '{ $layer }' takes its constants from the r
 layer-incomplete = layer '{ $layer }' lacks density or thickness
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; correct the press file
 live-sensor-of-press = live sensor of press { $press }
+live-time-no-number = a scan at { $time }: its time is given in seconds, as a number; of a table indexed by instants give the seconds since its first row
 live-time-not-rising = a scan at { NUMBER($time_s, maximumFractionDigits: 3) } s after one at { NUMBER($newest_s, maximumFractionDigits: 3) } s: times must rise; begin a new LiveSensor for another run
 live-value-no-number = column { $column }: { $value } is not a number; give NaN or None for a missing value
 load-column-empty = { $run }: load column '{ $column }' holds no value above 0: { $contacts } taken as independent of load; give the column, or take load out of the press file

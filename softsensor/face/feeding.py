@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import math
 import numbers
 import sys
@@ -9,11 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.given import keys_of, warn
+from daq.files.qualities import OTHERS, QUALITY, faults_of
+from daq.given import keys_of, refused, warn
 from daq.press.header import check_header, doubts
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, on_screen
-from daq.records import InputError
+from daq.records import InputError, Quality
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
@@ -73,6 +75,8 @@ class LiveSensor(ScanSensor):
         known = None if model is None else model_for(model, described, header)
         super().__init__(described, header, known, resin_of(resin))
         self._named = described.press.name
+        self._platens = described.platens
+        self._channels = tuple(pattern for sensor in described.sensor for pattern in sensor.columns)
         self._newest: Estimate | None = None
 
     def update(self, time_s: float, values: Mapping[str, float | None]) -> Estimate:
@@ -83,21 +87,40 @@ class LiveSensor(ScanSensor):
         time_s
             Later than that of any scan before. [s]
         values
-            By column, a row of a table for instance; missing ones None, NaN or left out. [°C, or the column's own]
+            By column, a row of a table for instance; missing ones None, NaN or left out. What a text ``quality``
+            calls unusable is missing too, any other text is left out. [°C, or the column's own]
 
         Raises
         ------
         InputError
-            For a time that does not rise, a value that is no number, and at the first scan for what press or panel
-            lacks in header or columns.
+            For a time that is no number or does not rise, values without names, one that is no number, and at the
+            first scan for what press or panel lacks in header or columns.
         """
+        if not isinstance(time_s, numbers.Real):
+            raise InputError(say("live-time-no-number", time=repr(time_s)))
+        if not hasattr(values, "items"):
+            raise refused(values, "given-no-scan")
         newest_s = -math.inf if self._newest is None else self._newest.time_s
         if not newest_s < time_s < math.inf:
             raise InputError(say("live-time-not-rising", time_s=float(time_s), newest_s=newest_s))
-        self._newest = super().update(
-            float(time_s), {name: _reading(name, value) for name, value in values.items()}
-        )
+        self._newest = super().update(float(time_s), self._readings(values))
         return self._newest
+
+    def _readings(self, values: Mapping[str, Any]) -> dict[str, float]:
+        """Return a scan's usable numbers; a platen that is not there is one without a reading."""
+        quality = values.get(QUALITY)
+        faults = (faults_of(quality) if isinstance(quality, str) else None) or {}
+        rest = faults.get(OTHERS, Quality.GOOD)
+        read = dict.fromkeys(self._platens, math.nan)
+        for name, value in values.items():
+            if isinstance(value, str) and name not in self._platens and not self._reads(name):
+                continue
+            read[name] = _reading(name, value) if faults.get(name, rest).usable else math.nan
+        return read
+
+    def _reads(self, column: str) -> bool:
+        """Return whether the press file names a column as a sensor's."""
+        return any(fnmatch.fnmatchcase(column, pattern) for pattern in self._channels)
 
     def __repr__(self) -> str:
         """Say which press it follows, and its newest estimate."""

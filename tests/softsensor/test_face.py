@@ -174,12 +174,44 @@ def test_a_live_sensor_takes_what_the_other_functions_take_and_rows_as_pandas_ha
     assert gaps.update(0.0, {**table.iloc[0], "top_1": None, "top_2": pd.NA}).state is not None
 
 
+def test_a_live_sensor_takes_a_stores_rows_with_their_qualities_and_remarks(tmp_path):
+    daq.play(SAMPLES[6], tmp_path / "a.sqlite", "lab")
+    with daq.open_store(tmp_path / "a.sqlite") as store:
+        table = store.samples("2026-03-04-07").assign(note="by hand")
+    assert table["quality"].str.len().max() > 0
+    live = softsensor.LiveSensor(LAB, table.attrs)
+    estimates = [live.update(time_s, row) for time_s, row in table.iterrows()]
+    replayed = softsensor.predict(table, LAB).frame()
+    assert [one.core_C for one in estimates if one.valid] == replayed.loc[
+        replayed["valid"] == 1, "core_C"
+    ].tolist()
+
+
+def test_what_a_quality_calls_unusable_is_missing_whatever_number_stands_there():
+    table = daq.frame_of(softsensor.read_run(SHORT)).iloc[:40]
+    first, second = (softsensor.LiveSensor(LAB, table.attrs) for _ in range(2))
+    for time_s, row in table.iterrows():
+        named = first.update(time_s, {**row, "top_1": 999.0, "quality": "top_1=open"})
+        left_out = second.update(time_s, {**row, "top_1": None})
+    assert repr(named) == repr(left_out)
+
+
+def test_a_platen_left_out_of_the_first_scan_is_read_from_the_next_on():
+    table = daq.frame_of(softsensor.read_run(SHORT)).iloc[:40]
+    live = softsensor.LiveSensor(LAB, table.attrs)
+    rows = list(table.iterrows())
+    assert not live.update(rows[0][0], rows[0][1].drop("platen_bottom")).valid
+    assert [live.update(time_s, row) for time_s, row in rows[1:]][-1].valid
+
+
 @pytest.mark.parametrize(
     ("time_s", "values", "expected"),
     [
         (1.0, {}, "a scan at 1 s after one at 1 s: times must rise"),
         (math.nan, {}, "times must rise"),
         (2.0, {"top_1": "20"}, "column top_1: '20' is not a number"),
+        (2.0, None, "NoneType: a scan is given as a mapping of numbers by column"),
+        (pd.Timestamp("2026-03-04", tz="UTC"), {}, "its time is given in seconds, as a number"),
     ],
 )
 def test_a_live_sensor_refuses_scans_that_cannot_be_and_goes_on(time_s, values, expected):
