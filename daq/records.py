@@ -263,6 +263,11 @@ UNNAMED = "frame"
 """The name of a run that was given as a table without one."""
 
 
+def matches(column: str, patterns: Iterable[str]) -> bool:
+    """Return whether a column has a name that one of these shell-style patterns means."""
+    return any(fnmatch.fnmatchcase(column, pattern) for pattern in patterns)
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Run:
     """One measured pressing: what a run file or the store holds, in memory.
@@ -315,7 +320,7 @@ class Run:
     def matching(self, patterns: Iterable[str]) -> tuple[str, ...]:
         """Return the columns that match shell-style patterns, in file order, each once."""
         wanted = tuple(patterns)
-        return tuple(c for c in self.columns if any(fnmatch.fnmatchcase(c, p) for p in wanted))
+        return tuple(c for c in self.columns if matches(c, wanted))
 
     def named(self, patterns: Iterable[str]) -> tuple[str, ...]:
         """Return the columns that shell-style patterns name. Raises `InputError` for a pattern that names none."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 from collections import Counter
 from collections.abc import Iterable
 
@@ -10,19 +9,24 @@ import numpy as np
 
 from daq.files.run_rows import check_no_words
 from daq.press.press_file import Press, press_for_run
-from daq.records import COLDEST_C, InputError, Run
+from daq.records import COLDEST_C, InputError, Run, matches
 from daq.words import Message, say
 
 
 def legible(run: Run, press: Press) -> Run:
     """Return the run. Raises `InputError` where a column of words is one that the press takes numbers from."""
     own = press_for_run(press, run)
-    loads = (contact.load.column for contact in own.contact if contact.load is not None)
-    wanted = (*(pattern for sensor in own.sensor for pattern in sensor.columns), *own.platens, *loads)
+    wanted = of_numbers(own)
     for column, cells in run.texts.items():
-        if any(fnmatch.fnmatchcase(column, pattern) for pattern in wanted):
+        if matches(column, wanted):
             check_no_words(run.source or run.name, column, cells)
     return run
+
+
+def of_numbers(press: Press) -> tuple[str, ...]:
+    """Return the patterns of the columns that a press takes numbers from."""
+    loads = (contact.load.column for contact in press.contact if contact.load is not None)
+    return (*(pattern for sensor in press.sensor for pattern in sensor.columns), *press.platens, *loads)
 
 
 def kelvin_doubt(run: Run, press: Press) -> Message | None:

@@ -58,7 +58,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from daq.press.header import check_header
-from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run
+from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run, matches
 from daq.tables import at, explained, load_toml, reason_of
 from daq.thermocouple import celsius_of
 from daq.words import Message, say
@@ -212,11 +212,7 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
     rows = _rows(path, mapped.file)
     names = next(rows)
     places = _places(path, names.cells, mapped)
-    kept = {
-        c: (array("d"), any(fnmatch.fnmatchcase(c.to, pattern) for pattern in temperatures))
-        for c in mapped.column
-        if c.to in places
-    }
+    kept = {c: (array("d"), matches(c.to, temperatures)) for c in mapped.column if c.to in places}
     times, first = array("d"), None
     for row, time_s in _rows_in_order(path, rows, names, mapped):
         first = first or row

@@ -119,11 +119,19 @@ def without_unusable(run: Run) -> Run:
         return run
     columns = {name: np.array(values) for name, values in run.columns.items()}
     for faults, rows in alike:
-        rest = faults.get(OTHERS, Quality.GOOD)
         for name, values in columns.items():
-            if not faults.get(name, rest).usable:
+            if not is_usable(faults, name):
                 values[rows] = np.nan
     return replace(run, columns=columns)
+
+
+def is_usable(faults: Mapping[str, Quality], column: str) -> bool:
+    """Return whether a row in which this deviates has a usable value in a column.
+
+    >>> is_usable({"top_1": Quality.OPEN, "*": Quality.SIMULATED}, "top_1")
+    False
+    """
+    return faults.get(column, faults.get(OTHERS, Quality.GOOD)).usable
 
 
 def spans_of(run: Run) -> Iterator[QualitySpan]:

@@ -7,7 +7,6 @@ column to name.
 from __future__ import annotations
 
 import csv
-import fnmatch
 import itertools
 import math
 import re
@@ -22,7 +21,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from daq.files.qualities import QUALITY, faults_of, wrong_quality
-from daq.records import COLDEST_C, HOTTEST_C, Array, BrokenTime, InputError
+from daq.records import COLDEST_C, HOTTEST_C, Array, BrokenTime, InputError, matches
 from daq.tables import at, reason_of
 from daq.words import Message, say
 
@@ -151,7 +150,7 @@ def check_rows(
         if name == CLOSED and len(bad := np.flatnonzero(~np.isin(column, (0.0, 1.0)) & ~np.isnan(column))):
             problem = say("run-closed-value", value=float(column[bad[0]]))
             raise InputError(_in_row(where, place(bad[0]), problem, name))
-        if any(fnmatch.fnmatchcase(name, pattern) for pattern in temperatures):
+        if matches(name, temperatures):
             bad = np.flatnonzero((column <= COLDEST_C) | (column >= HOTTEST_C))
             if len(bad):
                 found = f"{column[bad[0]]:g}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.press.press_file import At, Press
-from daq.records import Array, Run
+from daq.records import Array, Run, matches
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -41,7 +40,7 @@ class PressColumns:
 
 
 def _matching(names: Sequence[str], patterns: Sequence[str]) -> tuple[str, ...]:
-    return tuple(n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns))
+    return tuple(n for n in names if matches(n, patterns))
 
 
 def columns_of(press: Press) -> PressColumns:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from daq.printed import in_notebook
-from daq.records import COLDEST_C, HOTTEST_C, KEYS_SHOWN, InputError, Run
+from daq.records import COLDEST_C, HOTTEST_C, KEYS_SHOWN, InputError, Run, matches
 from daq.tables import at, explained, read_toml, reason_of, text_in
 from daq.words import Message, say, spoken
 
@@ -414,7 +414,7 @@ class Press(Table):
         found: dict[str, Sensor] = {}
         for column in run.columns:
             for sensor in self.sensor:
-                if any(fnmatch.fnmatchcase(column, pattern) for pattern in sensor.columns):
+                if matches(column, sensor.columns):
                     if sensor.role == role:
                         found[column] = sensor
                     break

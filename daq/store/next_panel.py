@@ -13,11 +13,11 @@ from typing import Any
 from sqlalchemy import Connection, delete, insert, select, update
 
 from daq.records import InputError
-from daq.store.convert import header_of, header_text, known_utc, unix_of
+from daq.store.convert import header_text, known_utc, unix_of
 from daq.store.journal import log
 from daq.store.records import NextPanel, ScansUnreadable
 from daq.store.schema import NEXT_PANEL, RECIPE
-from daq.store.sound_rows import is_sound, printable, rows_with_damage, store_label
+from daq.store.sound_rows import printable, rows_with_damage, sound_header, store_label
 from daq.words import Message, say, spoken
 
 PROCESS = "record"
@@ -74,12 +74,10 @@ def recipes(connection: Connection) -> dict[str, dict[str, Any]]:
 
 def _header(damaged: Message, text: str, name: str) -> dict[str, Any]:
     """Return header keys as they were stated; raises `ScansUnreadable` where they or the name are damaged."""
-    try:
-        if is_sound(text) and is_sound(name):
-            return header_of(text)
-    except (TypeError, ValueError, AttributeError, RecursionError):
-        pass
-    raise ScansUnreadable(damaged)
+    header = sound_header(text, name)
+    if header is None:
+        raise ScansUnreadable(damaged)
+    return header
 
 
 def take_next_panel(connection: Connection, press: str, noticed_unix_s: float) -> dict[str, Any]:

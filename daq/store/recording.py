@@ -21,7 +21,7 @@ from daq.store.convert import faults_json, header_of, header_text, known_utc, nu
 from daq.store.journal import log
 from daq.store.next_panel import take_next_panel
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
-from daq.store.reading import run_row
+from daq.store.reading import has_run, run_row
 from daq.store.records import (
     NewRun,
     PressKey,
@@ -252,7 +252,7 @@ def _journal_doubts(connection: Connection, key: PressKey, run: str, header: Map
 
 def _free_name(connection: Connection, name: str) -> str:
     """Return a run's name or, where it is taken, one that is free."""
-    while connection.execute(select(RUN.c.run).where(RUN.c.run == name)).first():
+    while has_run(connection, name):
         prefix, dash, number = name.rpartition("-")
         if not (dash and number.isdecimal()):
             prefix, number = name, "1"
@@ -409,7 +409,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str = "
     When it was stays unknown where the file does not say.
     """
     _check_name(run)
-    if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
+    if has_run(connection, run.name):
         raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
     origin = columns_from_header(run.header, run.source or run.name)
     channels = tuple(Channel(name, _unit(name)) for name in run.columns)

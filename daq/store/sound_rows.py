@@ -86,13 +86,19 @@ def is_object(text: str) -> bool:
 
 def stored_header(connection: Connection, row: Row[Any]) -> dict[str, Any]:
     """Return the header of a run's row; raises `ScansUnreadable` where it or the remark cannot be read."""
-    try:
-        if not is_sound(row.header_toml) or not is_sound(row.remark):
-            raise ValueError("flipped bytes")
-        return header_of(row.header_toml)
-    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+    header = sound_header(row.header_toml, row.remark)
+    if header is None:
         damage = say("store-header-damaged", store=store_label(connection.engine.url))
-        raise ScansUnreadable(of_run(printable(row.run))(what=damage)) from error
+        raise ScansUnreadable(of_run(printable(row.run))(what=damage))
+    return header
+
+
+def sound_header(text: str, beside: str) -> dict[str, Any] | None:
+    """Return header keys, None where they or the text beside them cannot be read."""
+    try:
+        return header_of(text) if is_sound(text) and is_sound(beside) else None
+    except (TypeError, ValueError, AttributeError, RecursionError):
+        return None
 
 
 def is_sound(text: str) -> bool:

@@ -162,13 +162,12 @@ class _Readings:
 
 def _screened(press: Press, runs: Sequence[Run]) -> tuple[_Readings, list[Digest]]:
     """Return the readings, and a digest of each run without its faulty channels."""
-    found = [screened_digest(press, run) for run in runs]
-    faults = [one.faults for one in found]
+    digests, faults, spikes = zip(*(screened_digest(press, run) for run in runs), strict=True)
     rim = [
-        rim_falls(press, one.digest.run, one.digest.moments, frozenset(f.column for f in one.faults))
-        for one in found
+        rim_falls(press, digest.run, digest.moments, frozenset(fault.column for fault in found))
+        for digest, found in zip(digests, faults, strict=True)
     ]
-    return _Readings(press, runs, faults, [one.spikes for one in found], np.array(rim)), [o.digest for o in found]
+    return _Readings(press, runs, faults, spikes, np.array(rim)), list(digests)
 
 
 def _lacking_loads(press: Press, runs: Sequence[Run]) -> list[Message]:

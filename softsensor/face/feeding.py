@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import math
 import numbers
 import sys
@@ -10,12 +9,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.files.qualities import OTHERS, QUALITY, faults_of
+from daq.files.legible import of_numbers
+from daq.files.qualities import QUALITY, faults_of, is_usable
 from daq.given import keys_of, refused, warn
 from daq.press.header import check_header, doubts
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, on_screen
-from daq.records import InputError, Quality
+from daq.records import InputError, matches
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
@@ -76,7 +76,7 @@ class LiveSensor(ScanSensor):
         super().__init__(described, header, known, resin_of(resin))
         self._named = described.press.name
         self._platens = described.platens
-        self._channels = tuple(pattern for sensor in described.sensor for pattern in sensor.columns)
+        self._of_numbers = of_numbers(described)
         self._newest: Estimate | None = None
 
     def update(self, time_s: float, values: Mapping[str, float | None]) -> Estimate:
@@ -110,17 +110,11 @@ class LiveSensor(ScanSensor):
         """Return a scan's usable numbers; a platen that is not there is one without a reading."""
         quality = values.get(QUALITY)
         faults = (faults_of(quality) if isinstance(quality, str) else None) or {}
-        rest = faults.get(OTHERS, Quality.GOOD)
         read = dict.fromkeys(self._platens, math.nan)
         for name, value in values.items():
-            if isinstance(value, str) and name not in self._platens and not self._reads(name):
-                continue
-            read[name] = _reading(name, value) if faults.get(name, rest).usable else math.nan
+            if not isinstance(value, str) or matches(name, self._of_numbers):
+                read[name] = _reading(name, value) if is_usable(faults, name) else math.nan
         return read
-
-    def _reads(self, column: str) -> bool:
-        """Return whether the press file names a column as a sensor's."""
-        return any(fnmatch.fnmatchcase(column, pattern) for pattern in self._channels)
 
     def __repr__(self) -> str:
         """Say which press it follows, and its newest estimate."""

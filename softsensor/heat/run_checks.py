@@ -160,9 +160,7 @@ def load_series(run: Run, load: Load) -> Array | None:
         i = int(wrong[0])
         value, time = f"{values[i]:g}", f"{run.time_s[i]:g}"
         raise Nonphysical(say("load-impossible", run=where, column=column, value=value, time=time))
-    hole = _worst_gap(run.time_s, good)
-    if hole is not None:
-        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": bridged_s(run.time_s)}
+    if gap := _too_long_a_gap(run.time_s, good):
         raise BoundaryGap(say("load-gap", run=where, column=column, **gap))
     return np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
 
@@ -232,9 +230,7 @@ def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
     good = np.isfinite(values)
     if not good.any():
         raise BoundaryGap(say("boundary-empty", run=where, column=column, end=name))
-    hole = _worst_gap(run.time_s, good)
-    if hole is not None:
-        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": bridged_s(run.time_s)}
+    if gap := _too_long_a_gap(run.time_s, good):
         raise BoundaryGap(say("boundary-gap", run=where, column=column, end=name, **gap))
     return np.interp(run.time_s, run.time_s[good], values[good])
 
@@ -247,11 +243,11 @@ def bridged_s(time_s: Array) -> float:
     return max(MAX_BRIDGE_S, min(0.5 * (2 + 3) * float(np.median(np.diff(time_s))), MAX_GAP_S))
 
 
-def _worst_gap(time_s: Array, good: NDArray[np.bool_]) -> tuple[float, float] | None:
-    """Return where the longest gap between good rows is and its length, None if it can be bridged. [s]"""
+def _too_long_a_gap(time_s: Array, good: NDArray[np.bool_]) -> dict[str, Argument]:
+    """Return where the longest gap between good rows is, how long, and what is bridged; nothing if it is. [s]"""
     holes, times = np.flatnonzero(~good), time_s[good]
     if not len(holes):
-        return None
+        return {}
     before = np.searchsorted(times, time_s[holes]) - 1
     gap = np.where(
         before < 0,
@@ -262,5 +258,7 @@ def _worst_gap(time_s: Array, good: NDArray[np.bool_]) -> tuple[float, float] | 
             time_s[-1] - times[-1],
         ),
     )
-    worst = int(np.argmax(gap))
-    return (float(time_s[holes[worst]]), float(gap[worst])) if gap[worst] > bridged_s(time_s) else None
+    worst, most = int(np.argmax(gap)), bridged_s(time_s)
+    if gap[worst] <= most:
+        return {}
+    return {"time": f"{time_s[holes[worst]]:g}", "seconds": float(gap[worst]), "most": most}

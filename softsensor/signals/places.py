@@ -109,7 +109,7 @@ def collect_signals(press: Press, run: Run, moments: Moments) -> Signals:
         good = [c for c in columns if c not in bad]
         if not good:
             continue
-        values, lost = _drop_outliers(np.stack([run.columns[c] for c in good], axis=1))
+        values, lost = _sound_cells(run, good)
         dropped += lost
         places.append(Place.of(label, good, values))
         cells |= {c: values[:, i] for i, c in enumerate(good)}
@@ -122,13 +122,17 @@ def without_outliers(press: Press, run: Run, excluded: Container[str]) -> Run:
     for named in faces_of(press, run)[0].values():
         good = [c for c in named if c not in excluded]
         if good:
-            values, _ = _drop_outliers(np.stack([run.columns[c] for c in good], axis=1))
+            values, _ = _sound_cells(run, good)
             columns |= {c: values[:, i] for i, c in enumerate(good)}
     return replace(run, columns=columns)
 
 
-def _drop_outliers(values: Array) -> tuple[Array, int]:
-    """Drop single cells far from their face (spikes); slow departures are left to the screen."""
+def _sound_cells(run: Run, columns: Sequence[str]) -> tuple[Array, int]:
+    """Return a face's values without single cells far from it (spikes), and how many these were (rows, channels).
+
+    Slow departures are left to the screen. [°C]
+    """
+    values = np.stack([run.columns[c] for c in columns], axis=1)
     if values.shape[1] < 3:
         return values, 0
     relative = values - nan_median(values)[:, None]

@@ -493,4 +493,4 @@ def test_the_first_pressing_of_a_press_holds_its_core_though_steam_carries_heat_
     rows = zip(estimates, truth.core_C, late, strict=True)
     held = [e.core_low_C <= c <= e.core_high_C for e, c, counts in rows if counts and e.valid]
     assert len(held) > 0.5 * late.sum()
-    assert np.mean(held) > 0.9  # scans of one run err together
+    assert round(float(np.mean(held)), 2) >= 0.95
