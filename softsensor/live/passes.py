@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -99,6 +100,7 @@ class Pass:
     ) -> None:
         setup = panels[0].setup
         self._setup, self._known, self._first = setup, known, first
+        self._panels = panels
         self.switches = known.switches(first)
         self._uneven = UNEVEN_K if known.initial_sd > setup.start_sd else 0.0
         planned = [
@@ -107,13 +109,13 @@ class Pass:
         plans = [plan for _, _, plan in planned]
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
             points = [plan.start.copy() for plan in plans]
+        self._planned = planned
         self.points = list(points)
-        self.filters = []
-        for (number, panel, plan), at in zip(planned, points, strict=True):
-            made = linearise(panel.setup, plan, at)
-            one = KalmanFilter.at_prior(panel.setup, made, self._timing(made), plan, panel.chance)
-            self.filters.append(replace(one, panel=number))
+        self.filters = [self._filter(i, at) for i, at in enumerate(points)]
         self.between = [self._between_faces(panel.setup, model) for panel in panels]
+        self._marched: list[KalmanFilter | BetweenFaces] = [*self.filters, *_known(self.between)]
+        """What is taken over the scans: all, or until it has caught up what differs from the pass beside it."""
+        self._beside: Pass | None = None
         self.done = 0
         """Scans taken in."""
         self.mixture: Mixture | None = None
@@ -121,6 +123,43 @@ class Pass:
         self._panel: tuple[Mixture | None, KnownPanel] | None = None
         self._sound = True
         """Whether nothing has changed at once so far."""
+
+    def knows(self, known: KnownMoments) -> bool:
+        """Return whether the run's moments are known just as when the pass began."""
+        return self._known == known
+
+    def _filter(self, i: int, at: Array) -> KalmanFilter:
+        """Return a filter at its prior, linearised at a point."""
+        number, panel, plan = self._planned[i]
+        made = linearise(panel.setup, plan, at)
+        return replace(
+            KalmanFilter.at_prior(panel.setup, made, self._timing(made), plan, panel.chance), panel=number
+        )
+
+    def linearised_at(self, better: Sequence[Array | None]) -> Pass | None:
+        """Return a pass whose filters are linearised at better points, None where every filter must begin anew.
+
+        A filter without a better point would come to what it is now: it goes on here, and in the new pass once
+        that has caught up.
+        """
+        new = copy(self)
+        return new if new.begin_beside(self, better) else None
+
+    def begin_beside(self, other: Pass, better: Sequence[Array | None]) -> bool:
+        """As a copy of a pass, begin at better points beside it; return whether its other filters may go on."""
+        fresh = {i: self._filter(i, at) for i, at in enumerate(better) if at is not None}
+        self.filters = [fresh.get(i, one) for i, one in enumerate(other.filters)]
+        if self.filters[0].timing.inserted != other.filters[0].timing.inserted:
+            return False  # other readings count from here on, for all of them
+        self.points = [old if at is None else at for old, at in zip(other.points, better, strict=True)]
+        starts = [panel.setup.start_C for panel in self._panels]
+        self.between = [
+            None if one is None else replace(one, before_C=start, late_K=0.0)
+            for one, start in zip(other.between, starts, strict=True)
+        ]
+        self._marched, self._beside = list(fresh.values()), other
+        self.done, self.mixture, self._inside, self._panel, self._sound = 0, None, None, None, True
+        return True
 
     def _plans(self, panel: LikelyPanel, model: ModelFile | None) -> list[FilterPlan]:
         setup, known = panel.setup, self._known
@@ -232,17 +271,23 @@ class Pass:
             inserted = timing.inserted + UNSURE * self._known.inserted_sd
             counted = Counted(inserted, timing.removed, self.switches, blind)
             blocks = blocks_of(scans.rows, self.done, ends, counted)
-            for one in (*self.filters, *self.between):
-                if one is not None:
-                    one.take(blocks)
+            for one in self._marched:
+                one.take(blocks)
             self.done = int(ends[-1]) + 1
             if whole:
+                self._join(scans)
                 self._mix(scans)
         return whole
 
+    def _join(self, scans: ScanArrays) -> None:
+        """Go on with the filters that the pass beside had, which is at an end."""
+        if self._beside is not None:
+            self._beside.extend(scans, len(scans))
+            self._marched, self._beside = [*self.filters, *_known(self.between)], None
+
     def _mix(self, scans: ScanArrays) -> None:
         """Pool what all filters say, and what the faces alone do."""
-        known = [between for between in self.between if between is not None]
+        known = _known(self.between)
         late_K = scans.late_s(float(self.switches[CLOSED])) * float(self.chain.level[1])
         for between in known:
             between.late_K = late_K
@@ -251,12 +296,13 @@ class Pass:
         for between in known if self._sound else ():
             between.before_C = between.core[0]
 
-    def better_points(self) -> list[Array] | None:
-        """Return where to linearise anew, None where the old points are still near enough."""
-        better = [one.better_point() for one in self.filters]
-        if all(point is None for point in better):
-            return None
-        return [old if new is None else new for old, new in zip(self.points, better, strict=True)]
+    def better_points(self) -> list[Array | None]:
+        """Return where to linearise each filter anew, None where the old point is still near enough."""
+        return [one.better_point() for one in self.filters]
+
+
+def _known(between: Sequence[BetweenFaces | None]) -> list[BetweenFaces]:
+    return [one for one in between if one is not None]
 
 
 class KnowsPress(Protocol):
@@ -310,8 +356,7 @@ class Passes:
             self.current.extend(scans, len(scans), blind=self.overtaken)
             if self._next is None and self._due(self.current, now):
                 self._linearised_s = now
-                if (points := self.current.better_points()) is not None:
-                    self._begin(panels, scans, press, points)
+                self._linearise_anew(panels, scans, press, self.current)
         if self._next is not None:
             step = now - float(scans.time[-2]) if len(scans) > 1 else 0.0
             if self._next.extend(scans, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
@@ -320,15 +365,31 @@ class Passes:
         if self.current is not None:
             scans.expect(self.current.chain.read)
 
+    def _linearise_anew(
+        self, panels: Sequence[LikelyPanel], scans: ScanArrays, press: KnowsPress, current: Pass
+    ) -> None:
+        """Begin a pass about better points, where any filter of the present one has moved far."""
+        better = current.better_points()
+        if all(point is None for point in better):
+            return
+        if current.knows(_known_now(press)) and (new := current.linearised_at(better)) is not None:
+            self._next, self._points = new, new.points
+        else:
+            points = [old if at is None else at for old, at in zip(current.points, better, strict=True)]
+            self._begin(panels, scans, press, points)
+
     def _begin(
         self, panels: Sequence[LikelyPanel], scans: ScanArrays, press: KnowsPress, points: Sequence[Array] | None
     ) -> None:
         """Begin a pass with what is known by now; the present one answers until it has caught up."""
-        known = replace(press.known, idle=press.state is PressState.IDLE)
-        self._next = Pass(panels, self._model, known, points, float(scans.time[0]))
+        self._next = Pass(panels, self._model, _known_now(press), points, float(scans.time[0]))
         self._points = self._next.points
 
     def _due(self, current: Pass, now: float) -> bool:
         """Return whether it is time to ask if the filters are still linearised near enough."""
         since = now - float(last_switch(current.switches, now))
         return now - self._linearised_s >= max(0.7, 0.4 * since)
+
+
+def _known_now(press: KnowsPress) -> KnownMoments:
+    return replace(press.known, idle=press.state is PressState.IDLE)

@@ -11,8 +11,8 @@ little about their real size, have filters of their own.
 
 When the estimate moves far from where the model was linearised, or a moment of the press becomes known
 (always a little late), the stored scans are gone through again from the start, some blocks with each new
-scan, while the pass before goes on answering: no scan waits for it. Everything is a function of the scans so
-far: replay and live agree, and a run cut short gives the same rows.
+scan, while the pass before goes on answering: no scan waits for it. A filter that has not moved goes on as it is.
+Everything is a function of the scans so far: replay and live agree, and a run cut short gives the same rows.
 
 What is reported as the core, and as profile and heat, is what all hypotheses expect together, each by its
 probability. Until 2026-11-23 it was what the model in force says: with a cause that nobody had diagnosed yet, the

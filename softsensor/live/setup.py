@@ -58,7 +58,7 @@ class RunSetup:
     profiles: dict[tuple[str, ...], Array] = field(default_factory=dict, compare=False)
     """Weights that read a profile, of these cases (`PROFILE`, n)."""
 
-    @property
+    @cached_property
     def unknown_constants(self) -> bool:
         """Whether one of the constants may be off by so much that it is not known."""
         return any(d.prior.sd > MOST_SHARE for d in self.directions if d.is_constant)

@@ -237,7 +237,12 @@ def test_core_error_beside_the_alternatives():
         print(line)
 
 
-@pytest.mark.parametrize("rate", [10.0, 2.0])
+RECORDED_US = {10.0: (38.0, 330.0), 2.0: (200.0, 620.0)}
+"""Median and mean of an update at commit 9502b98 (2026-11-21), on one of two idle cores. A busy one takes more:
+measure that commit beside it. What is counted and not timed, `softsensor/test_live_cost.py` holds."""
+
+
+@pytest.mark.parametrize("rate", RECORDED_US)
 def test_what_an_update_costs(rate):
     ((run, _),) = make_campaign(92, 1, None, replace(PLAN, rate_hz=rate))
     replay(run)
@@ -246,6 +251,10 @@ def test_what_an_update_costs(rate):
     print(
         f"\n{rate:g} Hz: update median {np.median(us):.0f} us, mean {us.mean():.0f}, "
         f"99 % {np.quantile(us, 0.99):.0f}, worst {us.max() / 1000:.0f} ms (a replay); {len(us)} scans"
+    )
+    median, mean = RECORDED_US[rate]
+    print(
+        f"of what is recorded ({median:.0f}, {mean:.0f} us): {np.median(us) / median:.2f}, {us.mean() / mean:.2f}"
     )
 
 
