@@ -144,7 +144,7 @@ def march(stack, tan, drive, state, record, nonlinear):
             count = _touched(co.dw, work.busy)
         _advance(stack, drive, state, record, co, work, (step, last, count))
         if r > 0:
-            _convert(state, co, work, drive.h[step])
+            _convert(stack.heat, state, co, work, drive.h[step])
         state.clock[0] = drive.h[last - 1]
         step = last
 
@@ -460,7 +460,7 @@ def _disturb(dw, busy, stage, ambient, out):
 
 
 @compiled(inner=True, fastmath=FAST)
-def _convert(state, co, work, h):
+def _convert(heat, state, co, work, h):
     """Advance the conversions by what the step's mean temperature made of them."""
     t, tn, s, sn = state.t_before, state.t, state.s_before, state.s
     rate, drate = co.rate, co.drate
@@ -471,6 +471,8 @@ def _convert(state, co, work, h):
         done, d_done = state.done[r], state.s_done[r]
         for i in range(n):
             done[i] += h * (value[i] + slope[i] * (_W * (t[i] + tg[i]) + D * tn[i]))
+        if not heat[r].any():
+            continue
         for q in range(p):
             dvalue, dslope, dq = drate[r, RATE, q], drate[r, RSLOPE, q], d_done[q]
             for i in range(n):

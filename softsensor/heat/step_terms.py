@@ -542,7 +542,7 @@ def conversion(stack, tan, state, r, h, co):
 
     With the rate frozen over the step its mean is (1 - Z) (1 - exp(-h rate)) / h, linear in T about `star`;
     a source that grows with temperature is taken at `star` alone. `co.rate` and `co.drate` come as zeros, or from
-    the step before.
+    the step before. Of one without heat only the tangents of its heat are filled: no other acts on anything.
     """
     w, dw, rate, drate = co.w, co.dw, co.rate[r], co.drate[r]
     dx, heat, law, done = stack.dx, stack.heat[r], stack.law[r], state.done[r]
@@ -577,6 +577,14 @@ def conversion(stack, tan, state, r, h, co):
             for a in range(3):
                 by_law[a, i] = left * kept * first[2 + a]
                 by_law[3 + a, i] = stiff * left * kept * (second[1 + a] - h * first[1] * first[2 + a])
+    if not heat.any():
+        for q in range(p):
+            dh, dsrc, dk = d_heat[q], dw[DSRC, q], dw[DSLOPE, q]
+            for k in range(count):
+                for i in range(ends[k, 0], ends[k, 1]):
+                    dsrc[i] += dx[i] * (dh[i] * value[i])
+                    dk[i] -= dx[i] * (dh[i] * slope[i])
+        return
     by_done, by_star, of_done, of_star = part[0], part[1], part[2], part[3]
     for q in range(p):
         st, dz, dh = dw[DSTAR, q], d_done[q], d_heat[q]

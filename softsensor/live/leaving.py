@@ -188,8 +188,8 @@ def _pooled(filters: Sequence[KalmanFilter], read: Sequence[tuple[float, Array, 
         level, slopes = np.array([value, 0.0]), np.ascontiguousarray(readout)
         chain = f.linearised.model.chain._replace(level=level, d_level=slopes)
         plain = plain if f.panel == panel else math.nan
-        plain, panel = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, plain, out), f.panel
-        held = mixtures.held(f.estimate, chain, f.hypotheses)
+        plain, held = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, plain, out)
+        panel = f.panel
         variances[own] = np.maximum(variances[own] * max(1.0, f.misfit) + held @ held + variance, 1e-12)
         first += len(f.names)
     sure = Change(0.0, math.nan, math.nan, 0.0, 0.0)

@@ -194,6 +194,13 @@ def quantile(weights, means, sds, share):
 
 
 @compiled()
+def held(estimate, chain, hypotheses):
+    """Return how far off the core is for each considered parameter (C) if no suspected cause is at work. [K]"""
+    p = estimate.at.shape[0]
+    return chain.d_level @ _without_causes(estimate, hypotheses, estimate.error, 0.0)[:p]
+
+
+@compiled()
 def weigh(estimate, chain, hypotheses, fit, plain, out):
     """Write what one filter's hypotheses say about the core: log-weight, mean [°C] and variance [K²] (E + 1).
 
@@ -206,7 +213,7 @@ def weigh(estimate, chain, hypotheses, fit, plain, out):
 
     Returns
     -------
-    The same, a number now. [°C]
+    The same, a number now [°C], and how far off the core is for each considered parameter (C), as in `held` [K].
     """
     p, e = estimate.at.shape[0], hypotheses.column.shape[0]
     readout = np.zeros(estimate.mean.shape[0])
@@ -220,7 +227,7 @@ def weigh(estimate, chain, hypotheses, fit, plain, out):
         if j == 0 and math.isnan(plain):
             plain = out.mean[0]
         out.variance[j] += min(SHAPE_SHARE * abs(out.mean[j] - plain), SHAPE_K) ** 2
-    return plain
+    return plain, held(estimate, chain, hypotheses)
 
 
 @compiled()
@@ -259,13 +266,6 @@ def pool(components, change):
     sds = np.sqrt(variances)
     low, high = quantile(log, means, sds, CENTRAL[0]), quantile(log, means, sds, CENTRAL[1])
     return expected, math.sqrt(square), min(low, expected), max(high, expected)
-
-
-@compiled()
-def held(estimate, chain, hypotheses):
-    """Return how far off the core is for each considered parameter (C) if no suspected cause is at work. [K]"""
-    p = estimate.at.shape[0]
-    return chain.d_level @ _without_causes(estimate, hypotheses, estimate.error, 0.0)[:p]
 
 
 @compiled()
