@@ -24,7 +24,7 @@ from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.instrument import RAMPS_S
 from softsensor.signals.places import Noise, Signals, whiten
-from softsensor.signals.screen import Flags
+from softsensor.signals.robust import Flags
 from softsensor.signals.unknown import Unknown
 
 # Numbers without another source were set by hand, 2026-11.

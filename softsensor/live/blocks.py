@@ -185,7 +185,8 @@ class ScanArrays:
 def fresh_channels(place: Integers, faces: int) -> Channels:
     """Return what is known of panel channels before the first reading, given the face of each (K)."""
     count = len(place)
-    return Channels(place, np.zeros(count), np.full(count, SOUND_K2), np.zeros(count), np.full(faces, np.nan))
+    none = np.zeros((3, count))
+    return Channels(place, none[0], np.full(count, SOUND_K2), none[1], none[2], np.full(faces, np.nan))
 
 
 def _doubled(array: Array) -> Array:

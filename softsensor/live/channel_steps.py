@@ -22,7 +22,9 @@ class Channels(NamedTuple):
     shift: Array
     """Of each channel against its place's robust mean (K). [K]"""
     scatter: Array
-    """Mean square departure from it (K). [K²]"""
+    """Mean square departure from it, single bad readings aside (K). [K²]"""
+    before: Array
+    """Departure of each channel's reading before (K). [K]"""
     seen: Array
     """How many readings each channel has given (K)."""
     level: Array
@@ -98,7 +100,10 @@ def _usable(channels, values, m, newcomers, near, who):
 
 @compiled(inner=True)
 def _learn(channels, values, m):
-    """Learn the shift and the scatter of a place's channels from their newest readings."""
+    """Learn the shift and the scatter of a place's channels from their newest readings.
+
+    A single bad reading is no scatter: one counts as no further off than the one before it, or than `_FAR_K`.
+    """
     level = channels.level[m]
     for k in range(channels.place.shape[0]):
         if channels.place[k] != m or not math.isfinite(values[k]):
@@ -110,7 +115,9 @@ def _learn(channels, values, m):
             away = 0.0
         bounded = min(max(away, -_FAR_K), _FAR_K)
         channels.shift[k] += 1.0 / min(seen + 1.0, _LONGEST_MEMORY) * bounded
-        channels.scatter[k] += max(0.05, 1.0 / (seen + 1.0)) * (away * away - channels.scatter[k])
+        counted = min(abs(away), max(channels.before[k], _FAR_K))
+        channels.before[k] = abs(away)
+        channels.scatter[k] += max(0.05, 1.0 / (seen + 1.0)) * (counted * counted - channels.scatter[k])
         channels.seen[k] = seen + 1.0
 
 

@@ -38,8 +38,8 @@ from softsensor.signals.instrument import (
     SCAN_SKEW_S,
 )
 from softsensor.signals.moments import Switch, moments_seen, switch_of
-from softsensor.signals.places import Place, without_outliers
-from softsensor.signals.screen import ChannelFault, faces_of, faulty_channels
+from softsensor.signals.places import Place
+from softsensor.signals.screen import ChannelFault, faces_of, screened
 from softsensor.signals.spikes import Spikes, without_spikes
 
 # Numbers without another source were set by hand, 2026-11.
@@ -216,7 +216,7 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
     )
 
 
-class Screened(NamedTuple):
+class ScreenedDigest(NamedTuple):
     """A run boiled down, and what was left out before."""
 
     digest: Digest
@@ -224,17 +224,16 @@ class Screened(NamedTuple):
     spikes: tuple[Spikes, ...]
 
 
-def screened_digest(press: Press, run: Run) -> Screened:
+def screened_digest(press: Press, run: Run) -> ScreenedDigest:
     """Boil a run down without its faulty channels and the single bad cells of platens and faces.
 
     Raises InputError as `digest_run`.
     """
     run, spikes = without_spikes(press, run)
     moments = moments_seen(run, press)
-    faults = faulty_channels(press, run, moments)
-    excluded = frozenset(fault.column for fault in faults)
-    sound = without_outliers(press, run, excluded)
-    return Screened(digest_run(press, sound, moments, excluded), faults, spikes)
+    sound = screened(press, run, moments)
+    excluded = frozenset(fault.column for fault in sound.faults)
+    return ScreenedDigest(digest_run(press, sound.run, moments, excluded), sound.faults, spikes)
 
 
 def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, tuple[str, ...]]:

@@ -10,7 +10,7 @@ intervals three to ten times too narrow here (noise correlated over 10 to 30 s a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,15 +21,11 @@ from daq.press.press_file import Press
 from daq.printed import on_screen
 from daq.records import Array, Moments, Run
 from softsensor.signals.instrument import CHANNEL_FAST_LIMITS_S, CHANNEL_FAST_S, CHANNEL_WHITE_K
-from softsensor.signals.robust import nan_median, robust_sd
-from softsensor.signals.screen import ChannelFault, Flags, faces_of, faulty_channels, quiet_rows
+from softsensor.signals.robust import Flags, nan_median, robust_sd
+from softsensor.signals.screen import ChannelFault, faces_of, quiet_rows, screened
 
 # Numbers without another source were set by hand, 2026-11.
 
-OUTLIER_K = 1.0
-"""A single cell that departs from its face by more than this, and by `OUTLIER_SD`, is dropped. [K]"""
-OUTLIER_SD = 6.0
-"""Of its channel and of its row. [standard deviations]"""
 NEAR_S, FAR_S = 2.0, 6.0
 """Lags at which the channels' noise is looked at: one beyond a scan, one beyond what fades at once. [s]"""
 LEAST_WHITE_K, LEAST_WHITE_SHARE = 1e-3, 0.1
@@ -101,48 +97,16 @@ class Noise:
 def collect_signals(press: Press, run: Run, moments: Moments) -> Signals:
     """Group a run's fit channels by place and leave out what cannot be believed; the run's overrides applied."""
     usable, empty = faces_of(press, run)
-    findings = empty + faulty_channels(press, run, moments)
-    bad = {f.column for f in findings}
-    cells: dict[str, Array] = {}
-    places, dropped = [], 0
-    for label, columns in usable.items():
-        good = [c for c in columns if c not in bad]
-        if not good:
-            continue
-        values, lost = _sound_cells(run, good)
-        dropped += lost
-        places.append(Place.of(label, good, values))
-        cells |= {c: values[:, i] for i, c in enumerate(good)}
-    return Signals(run.time_s, tuple(places), cells, findings, dropped)
-
-
-def without_outliers(press: Press, run: Run, excluded: Container[str]) -> Run:
-    """Return a run without single cells far from the rest of their face, excluded channels aside."""
-    columns = dict(run.columns)
-    for named in faces_of(press, run)[0].values():
-        good = [c for c in named if c not in excluded]
-        if good:
-            values, _ = _sound_cells(run, good)
-            columns |= {c: values[:, i] for i, c in enumerate(good)}
-    return replace(run, columns=columns)
-
-
-def _sound_cells(run: Run, columns: Sequence[str]) -> tuple[Array, int]:
-    """Return a face's values without single cells far from it (spikes), and how many these were (rows, channels).
-
-    Slow departures are left to the screen. [°C]
-    """
-    values = np.stack([run.columns[c] for c in columns], axis=1)
-    if values.shape[1] < 3:
-        return values, 0
-    relative = values - nan_median(values)[:, None]
-    column = nan_median(relative.T)
-    relative = relative - column[None, :]
-    typical = robust_sd(relative.T)
-    row = robust_sd(relative)
-    limit = np.maximum(np.maximum(OUTLIER_SD * typical[None, :], OUTLIER_SD * row[:, None]), OUTLIER_K)
-    far = np.abs(relative) > limit
-    return np.where(far, np.nan, values), int(far.sum())
+    sound = screened(press, run, moments)
+    bad = {f.column for f in sound.faults}
+    cells = {c: sound.run.columns[c] for columns in usable.values() for c in columns if c not in bad}
+    good = {label: [c for c in columns if c in cells] for label, columns in usable.items()}
+    places = [
+        Place.of(label, columns, np.stack([cells[c] for c in columns], axis=1))
+        for label, columns in good.items()
+        if columns
+    ]
+    return Signals(run.time_s, tuple(places), cells, empty + sound.faults, sound.dropped)
 
 
 def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.records import Array
 from softsensor.effects.parameters import QUARTILE
+
+Flags = NDArray[np.bool_]
 
 
 def nan_mean(values: Array) -> Array:

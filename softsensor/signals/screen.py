@@ -1,4 +1,6 @@
-"""Channels that read something false, found by comparison with their neighbours on the same face, before any fit.
+"""What channels read falsely, found by comparison with their neighbours on the same face, before any fit.
+
+First single bad cells go (`softsensor.signals.spikes`), then whole channels, then for how long the others depart.
 
 Several thermocouples sit at one place (a face) and see the same temperature. Each is held against the median of
 its face; the worst is left out, and the rest is looked at again. A channel that departs alone is faulty; two that
@@ -9,21 +11,20 @@ channels but for one run, where a swapped channel and a loose one fell alike and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from daq.words import Message, say
 from softsensor.effects.vocabulary import place_words
 from softsensor.signals.instrument import BEFORE_SWITCH_S, CHANNEL_GAIN, LAG_GONE_S, LOGGER_STEP_K
-from softsensor.signals.robust import nan_median
-
-Flags = NDArray[np.bool_]
+from softsensor.signals.robust import Flags, nan_median
+from softsensor.signals.spikes import without_far_cells, without_jumps, without_single_cells
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -86,6 +87,42 @@ def faces_of(press: Press, run: Run) -> tuple[dict[str, list[str]], tuple[Channe
     empty = [c for columns in faces.values() for c in columns if np.isfinite(run.columns[c]).sum() < least]
     full = {face: [c for c in columns if c not in empty] for face, columns in faces.items()}
     return full, tuple(ChannelFault(c, FaultKind.EMPTY, 0.0) for c in empty)
+
+
+class Screened(NamedTuple):
+    """A run without cells that cannot be believed, and what else cannot."""
+
+    run: Run
+    faults: tuple[ChannelFault, ...]
+    dropped: int
+    """Cells of other channels that were left out."""
+
+
+def screened(press: Press, run: Run, moments: Moments) -> Screened:
+    """Leave out what the channels of a run's faces read falsely, but the channels that hold nothing."""
+    faces = faces_of(press, run)[0]
+    sound = _with_cells(run, faces, lambda values: without_jumps(run.time_s, values, moments))
+    sound = _with_cells(sound, _judged(faces), without_single_cells)
+    faults = faulty_channels(press, sound, moments)
+    bad = {fault.column for fault in faults}
+    kept = {face: [c for c in columns if c not in bad] for face, columns in faces.items()}
+    sound = _with_cells(sound, _judged(kept), without_far_cells)
+    lost = [np.isfinite(run.columns[c]) & ~np.isfinite(sound.columns[c]) for cs in kept.values() for c in cs]
+    return Screened(sound, faults, int(np.sum(lost)))
+
+
+def _judged(faces: Mapping[str, Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Return the faces that have channels enough for one of them to depart from the others."""
+    return {face: columns for face, columns in faces.items() if len(columns) >= LEAST_CHANNELS}
+
+
+def _with_cells(run: Run, faces: Mapping[str, Sequence[str]], of: Callable[[Array], Array]) -> Run:
+    """Return a run with the values of each face (rows, channels) as `of` has them."""
+    columns = dict(run.columns)
+    for named in faces.values():
+        if named:
+            columns |= zip(named, of(np.stack([columns[c] for c in named], axis=1)).T, strict=True)
+    return replace(run, columns=columns)
 
 
 def faulty_channels(press: Press, run: Run, moments: Moments) -> tuple[ChannelFault, ...]:

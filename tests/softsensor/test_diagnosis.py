@@ -72,7 +72,7 @@ from softsensor.report.diagnosis_report import diagnosis_report
 from softsensor.signals.digest import Digest, MeanNoise
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.moments import moments_seen
-from softsensor.signals.screen import faulty_channels
+from softsensor.signals.screen import screened
 from softsensor.signals.unknown import Unknown
 from tests.editions import edition
 
@@ -706,14 +706,14 @@ def test_rim_sensors_that_fall_are_told_with_their_kelvins() -> None:
 def test_loose_drifting_and_swapped_channels_are_found_and_no_other(seed: int) -> None:
     for run, truth in make_campaign(seed, 4, "sensor_fault", SMALL):
         expected = {f.column for f in truth.faults} | {f.partner for f in truth.faults if f.partner}
-        assert {f.column for f in faulty_channels(press(), run, moments_seen(run, press()))} == expected
+        assert {f.column for f in screened(press(), run, moments_seen(run, press())).faults} == expected
 
 
 def test_rim_sensors_that_read_lower_on_every_face_are_not_called_faulty() -> None:
     plan = Plan(rate_hz=2.0, rim_contrast=1.0)
     for run, truth in make_campaign(31, 4, "edge_loss", plan):
         expected = {f.column for f in truth.faults}
-        assert {f.column for f in faulty_channels(press(), run, moments_seen(run, press()))} <= expected
+        assert {f.column for f in screened(press(), run, moments_seen(run, press())).faults} <= expected
 
 
 def test_rim_sensors_fall_against_central_ones_when_the_rim_loses_heat() -> None:

@@ -188,6 +188,17 @@ def test_a_channel_that_stands_still_beside_six_is_left_out_and_a_sound_one_is_n
     assert abs(sensor.left_out[dead]) > 10.0  # what it is left out for, though at this scan it agrees
 
 
+def test_a_single_bad_reading_leaves_no_channel_out(pressing):
+    run, _ = pressing
+    columns = {name: values.copy() for name, values in run.columns.items()}
+    name = next(name for name in columns if name.startswith("top_"))
+    columns[name][np.searchsorted(run.time_s, [10.0, 40.0, 45.0])] += 80.0
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    for i, t in enumerate(run.time_s[run.time_s < 50.0].tolist()):
+        sensor.update(t, {name: float(values[i]) for name, values in columns.items()})
+        assert sensor.left_out == {}
+
+
 def test_without_a_panel_in_the_press_no_channel_departs_from_its_neighbours(pressing):
     run, truth = pressing
     scattered = {name: values.copy() for name, values in run.columns.items()}

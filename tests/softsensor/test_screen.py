@@ -13,7 +13,7 @@ from softsensor.signals.digest import digest_run
 from softsensor.signals.moments import moments_of
 from softsensor.signals.places import collect_signals
 from softsensor.signals.robust import nan_median, robust_sd
-from softsensor.signals.screen import ChannelFault, FaultKind, faulty_channels, recurring
+from softsensor.signals.screen import ChannelFault, FaultKind, recurring, screened
 
 PRESS = parse_press(press_toml())
 
@@ -29,7 +29,7 @@ def spoiled(run, **columns):
 
 
 def found(run):
-    return {f.column: f.kind for f in faulty_channels(PRESS, run, moments_of(run, PRESS))}
+    return {f.column: f.kind for f in screened(PRESS, run, moments_of(run, PRESS)).faults}
 
 
 def test_sound_channels_are_kept(measured):
@@ -49,6 +49,35 @@ def test_two_channels_that_fall_behind_alike_are_a_pattern_over_the_face(measure
     behind = 4.0 * np.sin(t / 30.0)
     assert found(spoiled(measured, top_6=c["top_6"] - behind, top_7=c["top_7"] - behind)) == {}
     assert found(spoiled(measured, top_6=c["top_6"] - behind)) == {"top_6": FaultKind.LOOSE}
+
+
+@pytest.mark.parametrize("channels", [range(2, 8, 2), range(1, 8)])
+@pytest.mark.parametrize("kelvin", [80.0, -200.0, 5.0])
+def test_single_bad_cells_make_no_channel_faulty_and_hide_none_that_is(measured, channels, kelvin):
+    rng, c = np.random.default_rng(3), measured.columns
+    loose = spoiled(measured, top_7=c["top_7"] + 4.0 * np.sin(measured.time_s / 30.0))
+    bad = [f"{face}_{i}" for face in ("top", "bottom") for i in channels]
+    for run, faults in ((measured, {}), (loose, {"top_7": FaultKind.LOOSE})):
+        cells = {name: rng.random(len(run.time_s)) < 0.01 for name in bad}
+        spiked = spoiled(run, **{name: run.columns[name] + kelvin * cells[name] for name in bad})
+        sound = screened(PRESS, spiked, moments_of(spiked, PRESS))
+        assert {f.column: f.kind for f in sound.faults} == faults
+        assert all(np.isnan(sound.run.columns[name][cells[name]]).all() for name in set(bad) - set(faults))
+
+
+def test_rows_that_a_whole_face_reads_wrongly_are_left_out_and_its_jumps_as_the_press_moves_are_not(measured):
+    moments = moments_of(measured, PRESS)
+    quiet = np.flatnonzero(measured.time_s > moments.closed_s + 5.0)[[0, 7]]
+    wrong = np.zeros(len(measured.time_s))
+    wrong[quiet] = -60.0
+    run = spoiled(measured, **{f"top_{i}": measured.columns[f"top_{i}"] + wrong for i in range(1, 8)})
+    sound = screened(PRESS, run, moments)
+    read = [np.isfinite(measured.columns[f"top_{i}"][quiet]) for i in range(1, 8)]
+    assert all(np.isnan(sound.run.columns[f"top_{i}"][quiet]).all() for i in range(1, 8))
+    assert sound.dropped == np.sum(read)
+    for every in (1, 2, 6):
+        seldom = measured.at_rows(slice(None, None, every))
+        assert screened(PRESS, seldom, moments_of(seldom, PRESS)).dropped == 0
 
 
 @pytest.mark.parametrize("begins_s", [30.0, 60.0])
