@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 from daq.store import Store, StoreUnavailable
 from daq.supervision import RESTART_S, Pending, unexpected
-from daq.words import Message, say
+from daq.words import Message, say, spoken
 from softsensor.jobs.run_fits import write_journal
 
 LOG = logging.getLogger("kerntemp.sense")
@@ -17,6 +17,9 @@ LOG = logging.getLogger("kerntemp.sense")
 SINGLY = 4
 """Scans that are passed over singly, one a failure, before it is more than a disturbance: half a second at 10 Hz,
 and as many seconds without an estimate. By hand, 2026-11."""
+
+AGAIN_S = 0.5
+"""How long a press waits that the store gave or took nothing of. [s]"""
 
 
 class ScanFollower(Protocol):
@@ -68,6 +71,8 @@ class Guarded(Generic[F]):
         self.follower = begin()
         self.fault: Message | None = None
         """What nobody foresaw, until a scan beyond it was taken."""
+        self.kept_from: Message | None = None
+        """Why the store gives or takes nothing of this press now, until it does."""
         self._pending, self._journalled = Pending(self._journal), set[str]()
         self._failures = 0
         """Since a scan beyond was taken."""
@@ -78,26 +83,41 @@ class Guarded(Generic[F]):
     @property
     def problem(self) -> Message | None:
         """What keeps the sensor from saying what it should."""
-        return self.fault or self.follower.problem
+        return self.fault or self.kept_from or self.follower.problem
 
     def step(self, now: float) -> bool:
-        """Do what there is to do; return whether there was anything."""
+        """Do what there is to do; return whether there was anything.
+
+        Raises
+        ------
+        StoreUnavailable
+            Where the store gives or takes nothing, for all presses or for this one: after `AGAIN_S` it is asked
+            again, and whoever holds other presses asks for them meanwhile.
+        """
         if now < self._wait_until:
             return False
         try:
             worked = self.follower.step(now)
-        except StoreUnavailable:
+        except StoreUnavailable as error:
+            self.kept_from, self._wait_until = spoken(error), now + AGAIN_S
             raise
         except Exception as error:  # noqa: BLE001 - one press's fault must not end the others
             self._wait_until = now + RESTART_S
             self._failed(error)
             return False
+        self.kept_from = None
         if self.follower.last > self._beyond:
             self.fault, self._failures = None, 0
             if self.follower.run != self._run:
                 self._journalled.clear()
         self._pending.hand_over()
         return worked
+
+    def report_kept(self) -> None:
+        """Journal, once, what keeps this press from going on while the store serves the others."""
+        if self.kept_from is not None and str(self.kept_from) not in self._journalled:
+            self._journalled.add(str(self.kept_from))
+            self._journal(self.kept_from)
 
     def _failed(self, error: Exception) -> None:
         before, self.follower = self.follower, self._begin()

@@ -33,7 +33,7 @@ from daq.supervision import BEAT_S, Pending
 from daq.words import Message, say, spoken
 from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.jobs.fitter import Fitter
-from softsensor.jobs.guarded import Guarded
+from softsensor.jobs.guarded import AGAIN_S, Guarded
 from softsensor.jobs.live_model import LiveModel
 from softsensor.jobs.run_fits import PROCESS, RunFits, write_journal
 from softsensor.jobs.warm_up import warm_up
@@ -117,26 +117,40 @@ def _beat(store: Store, followers: list[Guarded[Follower]], state: str) -> None:
 
 def _follow(store: Store, followers: list[Guarded[Follower]], stop: threading.Event, notifier: Notifier) -> None:
     """Let the followers work until stopped; a store that is away is waited for."""
-    trouble, beat = "", -math.inf
+
+    def beat() -> None:
+        status = _status(followers, "running")
+        store.beat(store.beats_as(PROCESS), status)
+        notifier.alive(str(status["message"]))
+
+    trouble, beaten = "", -math.inf
     while not stop.is_set():
         worked = False
         try:
             for follower in followers:
-                worked = follower.step(time.monotonic()) or worked
-            if time.monotonic() - beat > BEAT_S:
-                beat = time.monotonic()
-                status = _status(followers, "running")
-                store.beat(store.beats_as(PROCESS), status)
-                notifier.alive(str(status["message"]))
+                worked = _stepped(follower, beat) or worked
+            if time.monotonic() - beaten > BEAT_S:
+                beaten = time.monotonic()
+                beat()
             trouble = ""
         except StoreUnavailable as error:
             if str(error) != trouble:
                 LOG.warning("%s", say("store-trying-again", why=spoken(error)))
             trouble = str(error)
             notifier.alive(trouble)  # a store that is away is no reason to begin anew
-            stop.wait(0.5)
+            stop.wait(AGAIN_S)
         if not worked:
             stop.wait(POLL_S)
+
+
+def _stepped(follower: Guarded[Follower], beat: Callable[[], None]) -> bool:
+    """Let one press's follower work; what the store keeps from it alone does not hold up the others."""
+    try:
+        return follower.step(time.monotonic())
+    except StoreUnavailable:
+        beat()  # raises where the store is away for all
+        follower.report_kept()
+        return False
 
 
 def _status(guarded: list[Guarded[Follower]], state: str) -> dict[str, Any]:

@@ -37,6 +37,7 @@ from softsensor.jobs.run_fits import RunFits
 from softsensor.live.sensor import LiveSensor
 from softsensor.live.validity import InvalidReason
 from tests.daq.test_kills import is_zombie
+from tests.daq.test_store_unreadable import tear
 from tests.patience import wait_until
 from tests.softsensor.test_night import configured
 
@@ -76,15 +77,15 @@ def pressing():
 class Recorder:
     """Puts a run into a store scan by scan, as the recorder does."""
 
-    def __init__(self, store, run, header=None):
+    def __init__(self, store, run, header=None, press="lab"):
         self.store, self.run = store, run
         self.names = tuple(run.columns)
-        self.key = store.register_press("lab", [Channel(n) for n in self.names], "press")
+        self.key = store.register_press(press, [Channel(n) for n in self.names], "press")
         self.detector = PressEventDetector(PRESS)
         header = {k: v for k, v in run.header.items() if k != "run"} if header is None else header
-        rules = RunRules("lab", 5.0, 3.0, 3600.0, header)
+        rules = RunRules(press, 5.0, 3.0, 3600.0, header)
         places = [i for i, n in enumerate(self.names) if n.startswith(("top", "bottom"))]
-        self.keeper = RunKeeper(rules, RunNames("lab", store.unused_run_name("lab", BEGAN)), places)
+        self.keeper = RunKeeper(rules, RunNames(press, store.unused_run_name(press, BEGAN)), places)
         self.done = 0
 
     def put(self, count):
@@ -952,3 +953,41 @@ def test_the_real_process_passes_over_a_scan_that_cannot_be_read(tmp_path, press
                 sensing.terminate()
                 sensing.communicate()
             assert sensing.returncode == 0
+
+
+def test_newest_scans_on_a_torn_page_keep_the_sensor_from_their_press_alone(tmp_path, fitter, pressing):
+    path = tmp_path / "kerntemp.sqlite"
+    configured(tmp_path)
+    config = tmp_path / "kerntemp.toml"
+    text = config.read_text(encoding="utf-8")
+    config.write_text(text + text[text.index("[[press]]") :].replace('"lab"', '"north"'), encoding="utf-8")
+    with open_store(str(path)) as store:
+        north, lab = (Recorder(store, pressing[0], press=press) for press in ("north", "lab"))
+        north.put(40)
+        lab.put(40)
+        drain(follower(store, fitter))
+        lab.put(40)
+        with store.database.reading() as connection:
+            newest = "SELECT readings FROM scan ORDER BY press_id DESC, number DESC LIMIT 1"
+            readings = connection.exec_driver_sql(newest).scalar_one()
+    tear(path, readings.encode())
+    command = [sys.executable, "-m", "api", "sense", "--config", str(config)]
+    with (
+        open_store(str(path)) as store,
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as sensing,
+    ):
+        north.store = store
+        try:
+            wait_until(lambda: store.newest_estimate_number("north") >= 0)
+            north.put(len(pressing[0].time_s))
+            record = store.runs(press="north").items[0]
+            wait_until(lambda: store.newest_estimate_number("north") >= record.last_scan)
+            named = "press lab: scan "
+            wait_until(lambda: any(one.startswith(named) for one in alarms(store)), lambda: alarms(store))
+            [problem] = store.statuses()["sense"].status["problems"]
+            [alarm] = [one for one in alarms(store) if one.startswith(named)]
+            assert alarm in problem
+            assert "kerntemp backup --restore" in alarm
+        finally:
+            sensing.terminate()
+    assert sensing.returncode == 0
