@@ -140,18 +140,9 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     check_names(name, [str(column) for column in frame.columns])
     given_times = _times_in(name, frame)
     times = _times(name, frame, given_times, keys)
-    columns, texts = {TIME: times}, dict[str, tuple[str, ...]]()
-    for column in frame.columns:
-        if column == TIME:
-            continue
-        values = frame[column]
-        numbers = _holds_numbers(values)
-        if numbers or column == CLOSED:
-            columns[str(column)] = _numbers(name, values, numbers=numbers)
-        else:
-            texts[str(column)] = _texts(values)
-    rows = Rows(columns, texts)
-    check_rows(name, rows)
+    found = rows_in(name, frame[[column for column in frame.columns if column != TIME]])
+    columns, texts = {TIME: times, **found.columns}, found.texts
+    check_rows(name, Rows(columns, texts))
     check_header(keys, name)
     for doubt in doubts(keys):
         warn(doubt)
@@ -160,6 +151,19 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     made = replace(made, layout=layout_of(frame, given_times, made))
     run: Run = with_frozen_fields(without_unusable(made))
     return run
+
+
+def rows_in(name: str, frame: pd.DataFrame) -> Rows:
+    """Return a table's columns: as numbers what holds numbers, all else as texts. Raises `InputError`."""
+    columns, texts = dict[str, Array](), dict[str, tuple[str, ...]]()
+    for column in frame.columns:
+        values = frame[column]
+        numbers = _holds_numbers(values)
+        if numbers or column == CLOSED:
+            columns[str(column)] = _numbers(name, values, numbers=numbers)
+        else:
+            texts[str(column)] = _texts(values)
+    return Rows(columns, texts)
 
 
 def _check_labels(frame: pd.DataFrame, keys: Mapping[Any, Any]) -> None:

@@ -261,11 +261,11 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
                 return _read_archived(path, file)
             header = _parquet_header(file.schema_arrow)
             time = _time_column(path, file.schema_arrow)
-            kinds = _parquet_kinds(path, file.schema_arrow, time)
+            names = _parquet_channels(path, file.schema_arrow, time)
             if not file.metadata.num_rows:
                 raise InputError(at(path, say("run-table-empty")))
-            rows = _parquet_rows(file, kinds)
-            if time not in kinds:
+            rows = _parquet_rows(path, file, names)
+            if time not in rows.columns:
                 times = _parquet_times(path, file.read(columns=[time])[time], header)
                 rows = Rows({TIME: times, **rows.columns}, rows.texts)
     except (pa.ArrowInvalid, OSError) as error:
@@ -335,40 +335,44 @@ def _json_object(text: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _parquet_kinds(path: Path, schema: pa.Schema, time: str) -> dict[str, bool]:
-    """Return by column whether it holds numbers, else texts; times of another kind are left out.
-
-    Raises `InputError` for any other column.
-    """
+def _parquet_channels(path: Path, schema: pa.Schema, time: str) -> list[str]:
+    """Return the columns of a table but for instants or durations that count its rows. Raises `InputError`."""
     check_names(str(path), schema.names)
-    kinds = {}
-    for name, kind in zip(schema.names, schema.types, strict=True):
-        if name == time and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
-            continue
-        number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()
-        if not number and (name in (TIME, CLOSED) or not _is_text(kind)):
-            raise InputError(at(path, say("run-column-type", type=str(kind)), column=name))
-        kinds[name] = number
-    return kinds
+    kind = schema.field(time).type
+    apart = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
+    return [name for name in schema.names if not (apart and name == time)]
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_())
 
 
 def _is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
-def _parquet_rows(file: pq.ParquetFile, kinds: Mapping[str, bool]) -> Rows:
-    """Read the rows piece by piece."""
-    columns = {name: np.empty(file.metadata.num_rows) for name, number in kinds.items() if number}
-    texts: dict[str, list[str]] = {name: [] for name, number in kinds.items() if not number}
+def _parquet_rows(path: Path, file: pq.ParquetFile, names: Sequence[str]) -> Rows:
+    """Read the rows, numbers and texts piece by piece, what is neither (dates, categories) as a table has it."""
+    kinds = dict(zip(file.schema_arrow.names, file.schema_arrow.types, strict=True))
+    columns = {name: np.empty(file.metadata.num_rows) for name in names if _is_number(kinds[name])}
+    texts: dict[str, list[str]] = {name: [] for name in names if _is_text(kinds[name])}
     known: dict[str, str] = {}
     rows = 0
-    for piece in file.iter_batches(_ROWS_AT_ONCE):
+    for piece in file.iter_batches(_ROWS_AT_ONCE, columns=[*columns, *texts]):
         for name, column in columns.items():
-            column[rows : rows + len(piece)] = numbers_of(piece[name].cast(pa.float64()))
+            column[rows : rows + len(piece)] = numbers_of(piece[name].cast(pa.float64(), safe=False))
         rows += len(piece)
         for name, kept in texts.items():
             kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]
-    return Rows(columns, {name: tuple(kept) for name, kept in texts.items()})
+    found = Rows(columns, {name: tuple(kept) for name, kept in texts.items()})
+    if others := [name for name in names if name not in columns and name not in texts]:
+        from daq.files.frames import rows_in  # pandas, which nothing else here needs
+
+        others_read = rows_in(str(path), file.read(columns=others).to_pandas(ignore_metadata=True))
+        found = Rows({**columns, **others_read.columns}, {**found.texts, **others_read.texts})
+    if odd := next((name for name in (TIME, CLOSED) if name in found.texts), None):
+        raise InputError(at(path, say("run-column-type", type=str(kinds[odd])), column=odd))
+    return found
 
 
 def _damaged_column(path: Path) -> str | None:

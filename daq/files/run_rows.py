@@ -28,8 +28,8 @@ from daq.words import Message, say
 TIME = "time_s"
 CLOSED = "closed"
 _MISSING = ("", "nan", "NaN", "NAN")
-_WORDS = re.compile(r"[^\d.+-]|\d+:\d|\d{4}-\d\d-\d\d")
-"""How a cell of words begins, a clock's time or a date too; what begins with a digit of any script is a number."""
+_WORDS = re.compile(r"[^\d.+-]|\d+:\d|\d{4}-\d\d-\d\d|-?\d+ days? ")
+"""How a cell of words begins, or a clock's time, a date, a duration. Else what begins with a digit is a number."""
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 """How a cell begins that a spreadsheet would compute, behind any apostrophes of ours. (OWASP: CSV Injection)"""
 

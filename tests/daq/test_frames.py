@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, time
 from decimal import Decimal
 
 import numpy as np
@@ -177,6 +177,50 @@ def test_a_table_of_instants_goes_through_parquet_and_back(tmp_path, utc, layout
             assert back.header["recorded.started_utc"] == run.header["recorded.started_utc"]
         if layout == "attrs":
             assert back.header == {**run.header, "run": run.name, "own.day": "2026-10-25"}
+
+
+NO_CHANNELS = {
+    "remark": ["a", None, "c"],
+    "shift": pd.Categorical(["early", None, "late"]),
+    "cycle": [7, 7, 8],
+    "day": [date(2026, 3, 4), None, date(2026, 3, 5)],
+    "at_clock": [time(8, 0), time(8, 0, 1), None],
+    "seen": pd.DatetimeIndex(["2026-03-04 08:00:00.5", None, "2026-03-04 08:00:02"], tz="Europe/Berlin"),
+    "took": pd.to_timedelta([1.0, 2.5, None], unit="s"),
+    "weight": [Decimal("12.50"), None, Decimal("7")],
+    "count": pd.array([1, None, 2**60 + 1], dtype="Int64"),
+    "empty": [None, None, None],
+    "flag": [True, False, True],
+    "raw": [b"1", b"", None],
+}
+
+
+CSV_HAS_NO_KINDS = ("flag", "seen", "took", "raw")
+"""pandas writes instants, durations and bytes there in ways of its own, and nothing shows what True was."""
+
+
+@pytest.mark.parametrize("name", NO_CHANNELS)
+def test_a_column_that_no_channel_names_is_read_alike_from_table_parquet_and_csv(name, tmp_path):
+    """CONTRACT: columns that the press file does not name are kept and ignored."""
+    table = pd.DataFrame({"time_s": [0.0, 1.0, 2.0], "top_1": [20.0, 21.0, 22.0], name: NO_CHANNELS[name]})
+    given = daq.run_of(table)
+    table.to_parquet(tmp_path / "run.parquet")
+    table.to_csv(tmp_path / "run.csv", index=False)
+    as_numbers = {column: repr(values.tolist()) for column, values in given.columns.items()}
+    from_parquet, from_csv = read_run(tmp_path / "run.parquet"), read_run(tmp_path / "run.csv")
+    assert from_parquet.texts == given.texts
+    assert {column: repr(values.tolist()) for column, values in from_parquet.columns.items()} == as_numbers
+    assert {*from_csv.columns, *from_csv.texts} == {*given.columns, *given.texts}
+    if name not in CSV_HAS_NO_KINDS:
+        assert from_csv.texts == given.texts
+        assert {column: repr(values.tolist()) for column, values in from_csv.columns.items()} == as_numbers
+
+
+@pytest.mark.parametrize(("name", "values"), [("closed", [date(2026, 3, 4)]), ("time_s", [date(2026, 3, 4)])])
+def test_times_and_a_limit_switch_of_another_kind_are_refused_from_parquet(name, values, tmp_path):
+    pd.DataFrame({"time_s": [0.0], "top_1": [20.0], name: values}).to_parquet(tmp_path / "run.parquet")
+    with pytest.raises(daq.InputError, match=name):
+        read_run(tmp_path / "run.parquet")
 
 
 def test_parquet_of_durations_is_read_and_a_missing_instant_named(tmp_path):

@@ -316,8 +316,8 @@ def test_parquet_faults_are_named_by_row_and_column(tmp_path):
     pq.write_table(pa.table({"time_s": [0.0, 2.0, 1.0]}), path)
     with pytest.raises(InputError, match=r"row 3: time_s = 1.0 does not rise"):
         read_run(path)
-    pq.write_table(pa.table({"time_s": [0.0], "top_1": [b"hot"]}), path)
-    with pytest.raises(InputError, match=r"column top_1: type binary is not a number"):
+    pq.write_table(pa.table({"time_s": [0.0], "closed": [b"no"]}), path)
+    with pytest.raises(InputError, match=r"column closed: .*is not a number"):
         read_run(path)
 
 
