@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.files.instants import from_json
 from daq.files.legible import check_each_once, kelvin_doubt, legible
 from daq.files.run_file import read_run as read_run_file
 from daq.given import keys_of, path_of, refused, warn
@@ -31,7 +32,8 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
         The TOML file that explains another logger's columns, units and times: of a file alone, which it reads as
         that logger wrote it.
     header
-        Keys beside those that the table or file has: panel, ambient, settings. The ones given here count.
+        Keys beside those that the table or file has: panel, ambient, settings. The ones given here count. ISO text
+        under a key ``recorded.*`` is an instant.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
         found = read_run_file(path_of(source, "given-no-run"))
     before = source.header if isinstance(source, Run) else {}
     if header is not None:
-        keys = {**found.header, **keys_of(header, "given-no-header")}
+        keys = {**found.header, **from_json(keys_of(header, "given-no-header"))}
         check_header(keys, found.source or found.name)
         found = replace(found, header=keys, name=str(keys.get("run", found.name)))
     for doubt in new_doubts(found.header, before):  # of a run that was read before, all others are known

@@ -545,6 +545,15 @@ def test_what_is_handed_out_cannot_be_changed_and_is_compared_as_the_object_it_i
     assert again.to_json() == fitted.to_json()
 
 
+@pytest.mark.parametrize("kind", ["path", "run", "table"])
+def test_a_recorders_instant_given_as_text_is_one_whatever_it_stands_beside(kind):
+    read, text = softsensor.read_run(SHORT), "2026-03-04T08:00:00.5+01:00"
+    source = {"path": SHORT, "run": read, "table": daq.frame_of(read)}[kind]
+    run = softsensor.read_run(source, header={"recorded.started_utc": text})
+    assert run.header["recorded.started_utc"] == datetime.fromisoformat(text)
+    assert daq.frame_of(run, utc=True).index[0] == pd.Timestamp(text)
+
+
 def test_the_answer_of_a_diagnosis_stays_what_it_is():
     found = softsensor.diagnose(SHORT, LAB, effects=["edge_loss"])
     verdict, text = found.verdict, found.to_json()
