@@ -9,7 +9,6 @@ import math
 import threading
 import time
 import types
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,6 +18,7 @@ import pandas as pd
 
 from daq.files.frames import frame_of, run_of
 from daq.files.instants import STARTED
+from daq.files.qualities import OTHERS, row_faults
 from daq.files.run_file import read_run
 from daq.given import number_of, path_of, refused
 from daq.press.detector import PressEventDetector
@@ -26,6 +26,7 @@ from daq.press.events import find_moments as find_run_moments
 from daq.press.press_file import Press, read_press
 from daq.printed import in_short
 from daq.records import Channel, InputError, Moments, Quality, Run, Scan
+from daq.store.recording import remarks_in
 from daq.store.records import NewRun, RunEnd, every
 from daq.store.store import Store
 from daq.store.store import open_store as open_database
@@ -165,6 +166,8 @@ def open_store(url: str | Path) -> StoreTables:
 def play(run: AnyRun, store: Path | str, press: str, *, scans: int = 1, pause_s: float = 0.0) -> None:
     """Write a run into a store as a recorder does while it is pressed, to try without a press what reads along.
 
+    Qualities and the texts of its rows go with it, and the remark in its header.
+
     Parameters
     ----------
     store
@@ -189,28 +192,37 @@ def play(run: AnyRun, store: Path | str, press: str, *, scans: int = 1, pause_s:
     if not 0.0 <= number_of(pause_s) < math.inf:
         raise InputError(say("play-pause", value=in_short(pause_s)))
     played = _run(run)
-    columns = {name: values.tolist() for name, values in played.columns.items()}
     started = played.header.get(STARTED)
     began = started if isinstance(started, datetime) and started.tzinfo else datetime.now(UTC)
     with open_database(_address(store)) as opened:
         if opened.has_run(played.name):
             raise InputError(say("store-run-taken", file=played.source or played.name, run=played.name))
-        key = opened.register_press(press, [Channel(name) for name in columns])
-        rows = [
-            _scan(key.next_number + i, began, time_s, [values[i] for values in columns.values()])
-            for i, time_s in enumerate(played.time_s.tolist())
-        ]
+        key = opened.register_press(press, [Channel(name) for name in played.columns])
+        rows = _scans_of(played, began, key.next_number)
+        remarks = {key.next_number + i: texts for i, texts in remarks_in(played)}
         begin: NewRun | None = NewRun(played.name, key.next_number, began, 0.0, played.header)
         for first in range(0, len(rows), scans):
-            opened.append_scans(key, rows[first : first + scans], begin=begin)
+            newest = rows[first : first + scans]
+            opened.append_scans(key, newest, begin=begin)
+            if texts := [(scan.number, remarks[scan.number]) for scan in newest if scan.number in remarks]:
+                opened.append_remarks(key, texts)
             begin = None
             time.sleep(pause_s)
         opened.append_scans(key, [], end=RunEnd(played.name, rows[-1].number, rows[-1].utc))
 
 
-def _scan(number: int, began: datetime, time_s: float, values: Sequence[float]) -> Scan:
-    qualities = tuple(Quality.MISSING if math.isnan(value) else Quality.GOOD for value in values)
-    return Scan(number, began + timedelta(seconds=time_s), time_s, tuple(values), qualities)
+def _scans_of(run: Run, began: datetime, first: int) -> list[Scan]:
+    """Return a run's rows as scans from number `first` on; a value missing without a quality is ``missing``."""
+    columns, faults, scans = [values.tolist() for values in run.columns.values()], row_faults(run), []
+    for i, time_s in enumerate(run.time_s.tolist()):
+        values, named = tuple(column[i] for column in columns), faults[i] if faults else {}
+        rest = named.get(OTHERS, Quality.GOOD)
+        qualities = tuple(
+            named.get(name, Quality.MISSING if math.isnan(value) else rest)
+            for name, value in zip(run.columns, values, strict=True)
+        )
+        scans.append(Scan(first + i, began + timedelta(seconds=time_s), time_s, values, qualities))
+    return scans
 
 
 def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:

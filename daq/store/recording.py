@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -299,8 +299,8 @@ def _header_columns(header: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "panel_material": None if material is None else str(material),
         "panel_thickness_mm": null(thickness) if isinstance(thickness, int | float) else None,
-        "header_toml": header_text(header),
-        "remark": "",
+        "header_toml": header_text({key: value for key, value in header.items() if key != REMARK}),
+        "remark": str(header.get(REMARK, "")),
         "software_version": software_version(),
     }
 
@@ -418,9 +418,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str = "
     count, faults = len(run.time_s), row_faults(run)
     for first in range(0, count, _ROWS_AT_ONCE):
         connection.execute(insert(SCAN), list(_imported_scans(run, first, faults, key)))
-    remarks = ({"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in _remarks(run))
-    while rows_at := list(itertools.islice(remarks, _ROWS_AT_ONCE)):
-        connection.execute(insert(SCAN_REMARK), rows_at)
+    append_remarks(connection, key, ((number + i, texts) for i, texts in remarks_in(run)))
     started = origin.get("started_unix_s")
     lasted_s = float(run.time_s[-1] - run.time_s[0]) if count else 0.0
     connection.execute(
@@ -434,7 +432,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str = "
             "zero_monotonic_s": 0.0,
             "first_scan": number,
             "last_scan": number + count - 1,
-            **_header_columns({k: v for k, v in {**run.header, "run": run.name}.items() if k != REMARK}),
+            **_header_columns({**run.header, "run": run.name}),
             **origin,
         },
     )
@@ -466,12 +464,24 @@ def _imported_scans(
         }
 
 
-def _remarks(run: Run) -> Iterator[tuple[int, str]]:
-    """Yield by row what its text columns say, but for qualities that are kept as such."""
+def remarks_in(run: Run) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield by row what a run's text columns say, but for qualities that are kept as such."""
     columns = {n: texts for n, texts in run.texts.items() if n != QUALITY or row_faults(run) is None}
-    rows = (dict(zip(columns, texts, strict=True)) for texts in zip(*columns.values(), strict=True))
-    texts_of_rows = ({name: text for name, text in row.items() if text} for row in rows)
-    yield from ((i, json.dumps(texts, ensure_ascii=False)) for i, texts in enumerate(texts_of_rows) if texts)
+    for i, row in enumerate(zip(*columns.values(), strict=True)):
+        if texts := {name: text for name, text in zip(columns, row, strict=True) if text}:
+            yield i, texts
+
+
+def append_remarks(
+    connection: Connection, key: PressKey, remarks: Iterable[tuple[int, Mapping[str, str]]]
+) -> None:
+    """Write beside scans, by their number, what text columns say of them."""
+    rows = (
+        {"press_id": key.press_id, "number": number, "texts_json": json.dumps(texts, ensure_ascii=False)}
+        for number, texts in remarks
+    )
+    while rows_at := list(itertools.islice(rows, _ROWS_AT_ONCE)):
+        connection.execute(insert(SCAN_REMARK), rows_at)
 
 
 def _check_name(run: Run) -> None:

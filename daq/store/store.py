@@ -111,6 +111,7 @@ class Store:
 
     register_press = _writes(recording.register_press)
     append_scans = _writes(recording.append)
+    append_remarks = _writes(recording.append_remarks)
     layout_of = _writes(recording.layout_of)
     interrupt_open_runs = _writes(recording.interrupt_open_runs)
     unused_run_name = _reads(recording.unused_run_name)

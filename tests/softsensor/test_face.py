@@ -298,6 +298,23 @@ def test_a_run_that_is_played_is_in_the_store_as_it_was(tmp_path):
         assert repr(store) == f"StoreTables {url}"
 
 
+def test_a_run_that_is_played_keeps_qualities_texts_of_rows_and_remark(tmp_path):
+    table = daq.frame_of(softsensor.read_run(SHORT, header={"remark": "left plate cleaned", "run": "played"}))
+    table["quality"], table["note"] = "", ""
+    table.iloc[3, table.columns.get_loc("quality")] = "top_3=open bottom_1=stale"
+    table.iloc[5, table.columns.get_loc("quality")] = "top_2=late *=simulated"
+    table.iloc[4, table.columns.get_loc("note")] = "door opened"
+    run, url = softsensor.read_run(table), tmp_path / "played.sqlite"
+    daq.play(run, url, "lab", scans=2)
+    with daq.open_store(url) as store:
+        samples, remark = store.samples("played"), store.runs().loc["played", "remark"]
+    assert remark == samples.attrs["remark"] == "left plate cleaned"
+    assert samples["note"].tolist() == list(run.texts["note"])
+    pd.testing.assert_frame_equal(
+        daq.qualities_of(daq.run_of(samples)).reset_index(drop=True), daq.qualities_of(run).reset_index(drop=True)
+    )
+
+
 def test_a_run_file_through_a_table_is_the_same_run():
     run = softsensor.read_run(SHORT)
     again = softsensor.read_run(daq.frame_of(run))
