@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
-from decimal import Decimal
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -14,8 +12,9 @@ import pandas as pd
 
 from daq.files.instants import STARTED, for_json, from_json, seconds_of
 from daq.files.layout import TableLayout, layout_of, nanoseconds_of, with_index, with_kinds
-from daq.files.qualities import OTHERS, QUALITY, rows_alike, without_unusable
-from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
+from daq.files.qualities import OTHERS, rows_alike, without_unusable
+from daq.files.run_rows import TIME, Rows, check_names, check_rows, row_place
+from daq.files.table_columns import holds_numbers, numbers_in, rows_in
 from daq.given import refused, warn
 from daq.press.header import check_header, doubts
 from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
@@ -153,56 +152,12 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     return run
 
 
-def rows_in(name: str, frame: pd.DataFrame) -> Rows:
-    """Return a table's columns: as numbers what holds numbers, all else as texts. Raises `InputError`."""
-    columns, texts = dict[str, Array](), dict[str, tuple[str, ...]]()
-    for column in frame.columns:
-        values = frame[column]
-        numbers = _holds_numbers(values)
-        if numbers or column == CLOSED:
-            columns[str(column)] = _numbers(name, values, numbers=numbers)
-        else:
-            texts[str(column)] = _texts(values)
-    return Rows(columns, texts)
-
-
 def _check_labels(frame: pd.DataFrame, keys: Mapping[Any, Any]) -> None:
     """Refuse columns and keys that no run file can name."""
     if frame.columns.nlevels > 1:
         raise InputError(say("frame-column-levels", levels=frame.columns.nlevels))
     if odd := [repr(key) for key in keys if not isinstance(key, str)]:
         raise InputError(say("frame-key-no-text", key=odd[0]))
-
-
-_COMPLEX = (complex, np.complexfloating)
-_MISSING = (type(None), type(pd.NA), type(pd.NaT))
-
-
-def _holds_numbers(values: pd.Series[Any]) -> bool:
-    """Return whether a column holds numbers; one of objects does if each is a number or missing, as in a file.
-
-    Raises `InputError` for complex ones, which no channel holds.
-    """
-    objects = values.dtype == object
-    kinds = set(map(type, values.to_numpy())) if objects else {values.dtype.type}
-    if any(issubclass(kind, _COMPLEX) for kind in kinds):
-        raise InputError(say("frame-column-complex", column=str(values.name)))
-    if objects:
-        numbers = (Real, Decimal, np.bool_, *_MISSING)
-        return values.name != QUALITY and all(issubclass(kind, numbers) for kind in kinds)
-    return bool(pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values))
-
-
-def _texts(values: pd.Series[Any] | pd.Index[Any]) -> tuple[str, ...]:
-    found = values.astype(object)
-    return tuple(found.where(values.notna(), "").astype(str).tolist())
-
-
-def _numbers(name: str, values: pd.Series[Any], *, numbers: bool) -> Array:
-    """Return a copy of a column of numbers, as its table may be written to. Raises `InputError` for words."""
-    if not numbers:
-        check_no_words(name, str(values.name), _texts(values))
-    return np.asarray(values.to_numpy(dtype=float, na_value=np.nan, copy=True))
 
 
 def _times_in(name: str, frame: pd.DataFrame) -> pd.Series[Any]:
@@ -223,7 +178,7 @@ def _times(name: str, frame: pd.DataFrame, times: pd.Series[Any], keys: dict[str
     if pd.api.types.is_timedelta64_dtype(times):
         return np.asarray(times.dt.total_seconds(), float)
     if times.name == TIME:
-        return _numbers(name, times, numbers=_holds_numbers(times))
+        return numbers_in(name, times, numbers=holds_numbers(times))
     remedy = say("frame-times-of-periods") if isinstance(times.dtype, pd.PeriodDtype) else say("frame-times-here")
     columns = tuple(str(c) for c in frame.columns[:8])
     raise InputError(say("frame-without-times", run=name, columns=columns, remedy=remedy))

@@ -366,7 +366,7 @@ def _parquet_rows(path: Path, file: pq.ParquetFile, names: Sequence[str]) -> Row
             kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]
     found = Rows(columns, {name: tuple(kept) for name, kept in texts.items()})
     if others := [name for name in names if name not in columns and name not in texts]:
-        from daq.files.frames import rows_in  # pandas, which nothing else here needs
+        from daq.files.table_columns import rows_in  # pandas, which nothing else here needs
 
         others_read = rows_in(str(path), file.read(columns=others).to_pandas(ignore_metadata=True))
         found = Rows({**columns, **others_read.columns}, {**found.texts, **others_read.texts})
