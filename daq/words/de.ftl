@@ -1125,7 +1125,7 @@ rehearsal-wrong = andere Ursache genannt
 ## softsensor.planning: the next pressings
 
 advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Wann zu öffnen ist, entscheidet der Softsensor im Betrieb.
-advise-best = { NUMBER($seconds, maximumFractionDigits: 0) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit einer Wahrscheinlichkeit von { NUMBER($percent, maximumFractionDigits: 1) } %
+advise-best = { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit einer Wahrscheinlichkeit von { NUMBER($percent, maximumFractionDigits: 1) } %
 advise-cure-without-resin = eine Grenze der Aushärtung braucht die Kinetik des Harzes; auch eine Harzdatei angeben
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh je Platte, { NUMBER($panels, maximumFractionDigits: 0) } Platten in der Stunde
 advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } Cent je Platte
@@ -1136,10 +1136,10 @@ advise-limit-cure_bottom = untere Seite nicht ausgehärtet
 advise-limit-cure_top = obere Seite nicht ausgehärtet
 advise-limit-steam_most = zu viel Dampf
 advise-load-unit = Presse { $press }: das Modell folgt der Last in Spalte { $column }, deren Einheit nirgends steht: beim Kontakt in load unit = "N/cm2", "kPa", "bar" oder "MPa" angeben
-advise-margin = Die Hälfte der Platten ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
-advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
+advise-margin = Die Hälfte der Platten ist nach { NUMBER($likely, minimumFractionDigits: 1, maximumFractionDigits: 1) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
+advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s: { $source }
 advise-no-limit = keine Grenze angegeben; eine Harzdatei mit [limits] angeben, oder was der Kern mindestens oder höchstens erreichen soll
-advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } mit einer Wahrscheinlichkeit von { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C, eine Grenze mit einer Wahrscheinlichkeit von { NUMBER($percent, maximumFractionDigits: 0) } % verletzt, am ehesten: { $limit }
 advise-panel = Platte: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': muss SCHLÜSSEL=WERT sein, etwa panel.thickness_mm=16
 advise-press-time-narrow = Bereich von press_time_s, { NUMBER($low, maximumFractionDigits: 3) } bis { NUMBER($high, maximumFractionDigits: 3) }: Presszeiten werden in Schritten von { NUMBER($step) } s geprüft, und keine liegt im Bereich; ihn weiten
@@ -1327,8 +1327,9 @@ sense-waiting = wartet auf Messungen
 
 figure-adaptive = Löser mit angepassten Schritten
 figure-advice-any = irgendeine Grenze, Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C
+figure-advice-others = irgendeine Grenze, bei { NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) } °C
 figure-advice-press-time = Presszeit [s]
-figure-advice-risk = Wahrscheinlichkeit, dass eine Grenze verletzt ist [%]
+figure-advice-risk = Risiko, eine Grenze zu verletzen [%]
 figure-blister-chance = Wahrscheinlichkeit einer Blase [%]
 figure-channels = alle Fühler
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K

@@ -1108,7 +1108,7 @@ rehearsal-wrong = another cause named
 ## softsensor.planning: the next pressings
 
 advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. The live sensor decides when to open.
-advise-best = Press for { NUMBER($seconds, maximumFractionDigits: 0) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with a probability of { NUMBER($percent, maximumFractionDigits: 1) } %
+advise-best = Press for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with a probability of { NUMBER($percent, maximumFractionDigits: 1) } %
 advise-cure-without-resin = a limit of cure needs the resin's kinetics; give a resin file too
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh a panel, { NUMBER($panels, maximumFractionDigits: 0) } panels an hour
 advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } cents a panel
@@ -1119,10 +1119,10 @@ advise-limit-cure_bottom = lower face undercured
 advise-limit-cure_top = upper face undercured
 advise-limit-steam_most = too much steam
 advise-load-unit = press { $press }: the model follows the load in column { $column }, whose unit is not given: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
-advise-margin = The median panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits hold with the wanted probability.
-advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
+advise-margin = The median panel is ready after { NUMBER($likely, minimumFractionDigits: 1, maximumFractionDigits: 1) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits hold with the wanted probability.
+advise-measure = If this were known exactly, { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s would do: { $source }
 advise-no-limit = no limit is given; give a resin file with [limits], or the least or the most that the core is to reach
-advise-none = No program within the ranges keeps all limits. Closest: platens { NUMBER($platen, maximumFractionDigits: 0) } °C, { $limit } with a probability of { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-none = No program within the ranges keeps all limits. Closest: platens { NUMBER($platen, maximumFractionDigits: 0) } °C, a limit broken with a probability of { NUMBER($percent, maximumFractionDigits: 0) } %, most likely: { $limit }
 advise-panel = Panel: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': must be KEY=VALUE, such as panel.thickness_mm=16
 advise-press-time-narrow = range of press_time_s from { NUMBER($low, maximumFractionDigits: 3) } to { NUMBER($high, maximumFractionDigits: 3) }: press times are tried in steps of { NUMBER($step) } s, and none lies in the range; widen it
@@ -1311,6 +1311,7 @@ sense-waiting = waiting for scans
 
 figure-adaptive = adaptive solver
 figure-advice-any = any limit, platens at { NUMBER($platen, maximumFractionDigits: 0) } °C
+figure-advice-others = any limit, platens at { NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) } °C
 figure-advice-press-time = press time [s]
 figure-advice-risk = chance that a limit is broken [%]
 figure-blister-chance = chance of a blister [%]

@@ -270,6 +270,5 @@ def opening(ahead_s: Array, found: Broken, wanted: float) -> Opening:
     first = int(np.argmax(holds))
     after = np.flatnonzero(~holds[first:])
     last = first + int(after[0]) - 1 if len(after) else len(holds) - 1
-    return Opening(
-        _falls_to(ahead_s, total, 1.0 - wanted), likely_in, float(ahead_s[last]), "", float(total[first])
-    )
+    risk = float(total[0]) if first == 0 else 1.0 - wanted
+    return Opening(_falls_to(ahead_s, total, 1.0 - wanted), likely_in, float(ahead_s[last]), "", risk)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from daq.words import Message, say
@@ -84,7 +85,8 @@ def advice_title(found: ProgrammeAdvice) -> Message:
         percent = 100.0 * shown.opening.risk
         return say("advise-none", platen=shown.programme.platen_C, limit=limit, percent=percent)
     percent = 100.0 * found.wish.limits.probability
-    return say("advise-best", seconds=shown.opening.in_s, platen=shown.programme.platen_C, percent=percent)
+    seconds = _settable(shown.opening.in_s)
+    return say("advise-best", seconds=seconds, platen=shown.programme.platen_C, percent=percent)
 
 
 def advice_messages(found: ProgrammeAdvice) -> Iterator[Message]:
@@ -103,8 +105,15 @@ def advice_messages(found: ProgrammeAdvice) -> Iterator[Message]:
             energy = say("advise-energy-cost", energy=energy, cents=100.0 * best.price * best.energy_kWh)
         yield energy
     for saving in found.savings[:SAVINGS]:
-        yield say("advise-measure", source=source_message(saving.source), seconds=saving.press_time_s)
+        seconds = _settable(saving.press_time_s)
+        if best is None or seconds < _settable(best.opening.in_s):
+            yield say("advise-measure", source=source_message(saving.source), seconds=seconds)
     yield say("advise-assumed")
+
+
+def _settable(seconds: float) -> float:
+    """Return a press time as it is shown, in tenths of a second: rounded up, for a shorter one would not do."""
+    return math.ceil(10.0 * seconds - 1e-6) / 10.0
 
 
 def source_message(source: str) -> Message:

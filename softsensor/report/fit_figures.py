@@ -78,7 +78,7 @@ def sheet(size: tuple[float, float], language: str, title: Message | None = None
     with _STYLING, rc_context(dict(STYLE)):
         figure = Figure(figsize=size, layout="constrained")
         if title is not None:
-            figure.suptitle(words(title, language), x=0.01, ha="left", color=INK, weight="bold")
+            figure.suptitle(words(title, language), x=0.01, ha="left", color=INK, weight="bold", wrap=True)
         yield figure
         sign = words(say("report-tenths", value=0.5), language)[1]
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
