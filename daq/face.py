@@ -276,9 +276,10 @@ def _run(given: AnyRun) -> Run:
 
 
 def _address(given: object) -> str:
-    if isinstance(given, str | Path):
-        return str(given)
-    raise refused(given, "given-no-store")
+    if not isinstance(given, str | Path):
+        raise refused(given, "given-no-store")
+    path_of(given, "given-no-store")
+    return str(given)
 
 
 def _press(given: Press | Path | str) -> Press:

@@ -5,16 +5,22 @@ from __future__ import annotations
 import inspect
 import math
 import os
+import sys
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from decimal import Decimal
 from numbers import Real
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from daq.records import InputError
 from daq.words import Message, say
 from daq.words.message import choose, languages
 
+NUMBERS = (Real, Decimal, np.bool_)
+"""What tables and drivers give as numbers."""
 _OURS = ("daq", "softsensor")
 
 
@@ -53,10 +59,12 @@ def speak(language: str) -> None:
 
 
 def path_of(given: object, code: str) -> Path:
-    """Return a path that was given as such or as a text. Raises `InputError` for anything else."""
-    if isinstance(given, str | os.PathLike):
-        return Path(given)
-    raise refused(given, code)
+    """Return a path that was given as such or as a text. Raises `InputError` for all else."""
+    if not isinstance(given, str | os.PathLike):
+        raise refused(given, code)
+    if "\0" in str(given):
+        raise InputError(say("given-path-nul", path=repr(str(given))))
+    return Path(given)
 
 
 def keys_of(given: object, code: str) -> Mapping[str, Any]:
@@ -85,6 +93,24 @@ def number_of(given: object) -> float:
     (5.0, nan, nan)
     """
     return float(given) if isinstance(given, Real) and not isinstance(given, bool) else math.nan
+
+
+def reading_of(given: object) -> float | None:
+    """Return a number as a logger or a table gives it, NaN for a missing one; None for anything else.
+
+    >>> from decimal import Decimal
+    >>> reading_of(True), reading_of(Decimal("21.5")), reading_of(None), reading_of("21.5")
+    (1.0, 21.5, nan, None)
+    """
+    pandas = sys.modules.get("pandas")  # whoever gives one of its own has loaded it
+    if given is None or given is getattr(pandas, "NA", None) or given is getattr(pandas, "NaT", None):
+        return math.nan
+    try:
+        return float(given) if isinstance(given, NUMBERS) else None
+    except OverflowError:
+        return math.inf
+    except ValueError:  # a signalling NaN
+        return None
 
 
 def pair_of(given: object, code: str) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from daq.files.layout import TableLayout, layout_of, nanoseconds_of, with_index,
 from daq.files.qualities import OTHERS, rows_alike, without_unusable
 from daq.files.run_rows import TIME, Rows, check_names, check_rows, row_place
 from daq.files.table_columns import holds_numbers, numbers_in, rows_in
-from daq.given import refused, warn
+from daq.given import keys_of, refused, warn
 from daq.press.header import check_header, doubts
 from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
 from daq.tables import at
@@ -132,7 +132,7 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     """
     if not isinstance(frame, pd.DataFrame):
         raise refused(frame, "given-no-table")
-    given = {**frame.attrs, **(header or {})}
+    given = {**frame.attrs, **keys_of(header, "given-no-header")}
     _check_labels(frame, given)
     keys = from_json(given)
     name = str(keys.get("run", UNNAMED))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from decimal import Decimal
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -11,6 +9,7 @@ import pandas as pd
 
 from daq.files.qualities import QUALITY
 from daq.files.run_rows import CLOSED, Rows, check_no_words
+from daq.given import NUMBERS
 from daq.records import Array, InputError
 from daq.words import say
 
@@ -42,8 +41,7 @@ def holds_numbers(values: pd.Series[Any]) -> bool:
     if any(issubclass(kind, _COMPLEX) for kind in kinds):
         raise InputError(say("frame-column-complex", column=str(values.name)))
     if objects:
-        numbers = (Real, Decimal, np.bool_, *_MISSING)
-        return values.name != QUALITY and all(issubclass(kind, numbers) for kind in kinds)
+        return values.name != QUALITY and all(issubclass(kind, (*NUMBERS, *_MISSING)) for kind in kinds)
     return bool(pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values))
 
 

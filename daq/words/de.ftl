@@ -282,6 +282,7 @@ given-no-settings = { $found }: Einstellungen werden als Zuordnung von Zahlen zu
 given-no-store = { $found }: eine Datenbank wird mit dem Pfad ihrer Datei angegeben oder mit ihrer Adresse postgresql://
 given-no-table = { $found }: eine Tabelle wird als DataFrame von pandas angegeben; die einer anderen Bibliothek geht mit ihrem to_pandas()
 given-no-thermal-model = { $found }: ein thermisches Modell wird als ThermalModel(press) angegeben
+given-path-nul = { $path }: kein Dateiname enthält ein Nullzeichen; den Pfad berichtigen
 header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Materialtabelle für { $material }; bitte prüfen
 header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $meant }
 header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten

@@ -282,6 +282,7 @@ given-no-settings = { $found }: settings are given as a mapping of numbers by na
 given-no-store = { $found }: a store is given as the path of its file, or as its postgresql:// address
 given-no-table = { $found }: a table is given as a pandas DataFrame; another library's comes in by its to_pandas()
 given-no-thermal-model = { $found }: a thermal model is given as ThermalModel(press)
+given-path-nul = { $path }: the name of no file holds a NUL character; correct the path
 header-far-from-table = header key { $key } = { NUMBER($value) } { $unit } lies far from the { NUMBER($table) } { $unit } of { $material } in the material table; check it
 header-key-meant = header key { $key } is not known; did you mean { $meant }?
 header-key-twice = header key { $key } is given twice; keep one

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-import numbers
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from daq.files.legible import of_numbers
 from daq.files.qualities import QUALITY, faults_of, is_usable
-from daq.given import keys_of, refused, warn
+from daq.files.run_rows import CLOSED, at_column
+from daq.given import keys_of, reading_of, refused, warn
 from daq.press.header import check_header, doubts
 from daq.press.resin_file import Resin
-from daq.printed import in_notebook, on_screen
+from daq.printed import in_notebook, in_short, on_screen
 from daq.records import InputError, matches
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
@@ -67,6 +68,8 @@ class LiveSensor(ScanSensor):
         model: AnyModel | None = None,
         resin: Resin | Path | str | None = None,
     ) -> None:
+        if header is None:
+            raise refused(header, "given-no-header")
         check_header(keys_of(header, "given-no-header"), "LiveSensor")
         for doubt in doubts(header):
             warn(doubt)
@@ -96,14 +99,15 @@ class LiveSensor(ScanSensor):
             For a time that is no number or does not rise, values without names, one that is no number, and at the
             first scan for what press or panel lacks in header or columns.
         """
-        if not isinstance(time_s, numbers.Real):
+        at = None if isinstance(time_s, bool | np.bool_) else reading_of(time_s)
+        if at is None:
             raise InputError(say("live-time-no-number", time=repr(time_s)))
         if not hasattr(values, "items"):
             raise refused(values, "given-no-scan")
         newest_s = -math.inf if self._newest is None else self._newest.time_s
-        if not newest_s < time_s < math.inf:
-            raise InputError(say("live-time-not-rising", time_s=float(time_s), newest_s=newest_s))
-        self._newest = super().update(float(time_s), self._readings(values))
+        if not newest_s < at < math.inf:
+            raise InputError(say("live-time-not-rising", time_s=at, newest_s=newest_s))
+        self._newest = super().update(at, self._readings(values))
         return self._newest
 
     def _readings(self, values: Mapping[str, Any]) -> dict[str, float]:
@@ -124,10 +128,13 @@ class LiveSensor(ScanSensor):
     _repr_html_ = in_notebook
 
 
-def _reading(column: str, value: float | None) -> float:
-    """Return a channel's value, NaN where there is none."""
-    if isinstance(value, numbers.Real):
-        return float(value)
-    if value is None or value is getattr(sys.modules.get("pandas"), "NA", None):
-        return math.nan
-    raise InputError(say("live-value-no-number", column=column, value=repr(value)))
+def _reading(column: str, given: object) -> float:
+    """Return a channel's value, NaN where there is none. Raises `InputError` for what no channel has."""
+    value = reading_of(given)
+    if value is None:
+        raise InputError(say("live-value-no-number", column=column, value=in_short(given)))
+    if math.isinf(value):
+        raise InputError(at_column(column, say("run-value-infinite")))
+    if column == CLOSED and value == value and value not in (0.0, 1.0):
+        raise InputError(at_column(column, say("run-closed-value", value=value)))
+    return value

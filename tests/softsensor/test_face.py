@@ -12,6 +12,8 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 from types import FunctionType
 from typing import get_args, get_type_hints
@@ -271,6 +273,37 @@ def test_a_run_that_a_store_does_not_have_is_refused_with_what_a_python_user_doe
                 daq.InputError, match=r"run 'nope' is not in store .*; runs\(\) lists those that are"
             ):
                 ask("nope")
+
+
+@pytest.mark.parametrize(
+    "value", [np.True_, True, Decimal("21.5"), Fraction(43, 2), np.float32(21.5), None, pd.NA, pd.NaT, math.nan]
+)
+def test_a_live_sensor_fed_by_hand_takes_every_number_and_gap_that_a_table_does(value):
+    run = softsensor.read_run(SHORT)
+    row = {**daq.frame_of(run).iloc[0].to_dict(), "top_1": value, "closed": 0}
+    estimate = softsensor.LiveSensor(LAB, run.header).update(Decimal(0), row)
+    table = pd.DataFrame({"time_s": [0.0], "top_1": pd.Series([value], dtype=object)})
+    expected = math.nan if value is None or pd.isna(value) else float(value)
+    assert daq.run_of(table).columns["top_1"].tolist() == pytest.approx([expected], nan_ok=True)
+    assert math.isfinite(estimate.core_C)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "expected"),
+    [
+        ("closed", 7, r"column closed: 7 must be 0 \(open\) or 1 \(closed\)"),
+        ("closed", 0.5, "column closed: 0.5 must be 0"),
+        ("top_1", math.inf, "column top_1: infinite; must be a number"),
+        ("top_1", 10**400, "column top_1: infinite; must be a number"),
+        ("top_1", Decimal("sNaN"), "column top_1: .* is not a number"),
+        ("top_1", 1j, "column top_1: 1j is not a number"),
+    ],
+)
+def test_a_live_sensor_fed_by_hand_refuses_what_no_run_file_holds(column, value, expected):
+    run = softsensor.read_run(SHORT)
+    live = softsensor.LiveSensor(LAB, run.header)
+    with pytest.raises(daq.InputError, match=expected):
+        live.update(0.0, {**daq.frame_of(run).iloc[0].to_dict(), column: value})
 
 
 def test_a_live_sensor_refuses_a_mistyped_header_at_once():
@@ -848,6 +881,10 @@ def advise(**asked):
     ("ask", "expected"),
     [
         (lambda: softsensor.read_run(5), "int: a run is given as the path of a CSV"),
+        (lambda: softsensor.read_run("a\0b"), "NUL character; correct the path"),
+        (lambda: daq.open_store("a\0b"), "NUL character; correct the path"),
+        (lambda: daq.run_of(daq.frame_of(softsensor.read_run(SHORT)), 5), "int: a header is given as"),
+        (lambda: softsensor.LiveSensor(LAB, None), "NoneType: a header is given as"),
         (lambda: softsensor.read_run({"time_s": [0.0]}), "dict: a run is given as"),
         (lambda: softsensor.fit(None, LAB), "NoneType: a run is given as"),
         (lambda: softsensor.fit([SHORT, 5], LAB), "int: a run is given as"),
