@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
+from hashlib import sha256
 
 import numpy as np
 
@@ -45,6 +45,13 @@ def kelvin_doubt(run: Run, press: Press) -> Message | None:
 
 
 def check_each_once(runs: Iterable[Run]) -> None:
-    """Raise `InputError` where a run is given twice, by its name: it would count as two."""
-    if twice := [name for name, times in Counter(run.name for run in runs).items() if times > 1]:
-        raise InputError(say("run-twice", run=twice[0]))
+    """Raise `InputError` where a run is given twice, by its name or by its readings: it would count as two."""
+    names: dict[bytes, str] = {}
+    for run in runs:
+        if run.name in names.values():
+            raise InputError(say("run-twice", run=run.name))
+        readings = sha256(run.time_s.tobytes())
+        for name in sorted(run.columns):
+            readings.update(run.columns[name].tobytes())
+        if (other := names.setdefault(readings.digest(), run.name)) != run.name:
+            raise InputError(say("run-twice-by-readings", run=run.name, other=other))

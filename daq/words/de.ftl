@@ -380,6 +380,7 @@ run-table-empty = die Tabelle hat keine Reihen; eine Pressung braucht mindestens
 run-time-falls = time_s = { $time } steigt nicht ({ $place }: { $before }); Reihen sortieren, doppelte entfernen
 run-time-missing = die Zeit fehlt; jede Reihe braucht eine
 run-twice = die Pressung „{ $run }“ ist zweimal angegeben; jede zählt einmal
+run-twice-by-readings = die Pressung „{ $run }“ enthält Ziffer für Ziffer die Messwerte der Pressung „{ $other }“; jede zählt einmal: eine davon weglassen
 run-value-infinite = unendlich; muss eine Zahl sein
 told-by-limit-switch = Endschalter
 told-by-one-state = Presse mit einem Zustand
@@ -784,6 +785,7 @@ model-file-unreadable = { $file }: die Modelldatei ist nicht zu lesen: { $error 
 parameter-unknown = '{ $name }' ist kein Parameter dieses Modells; es hat { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } liegt vor { $earlier } = { $early }; die Spalte closed prüfen
 run-ramp-impossible = { $run }: ramp_s = { $value }: das Schließen dauert eine endliche Zeit, mindestens 0 s
+run-rows-far-apart = { $run }: die Reihen liegen nach time_s { NUMBER($seconds, maximumFractionDigits: 0) } s auseinander, es dürfen höchstens { NUMBER($most, maximumFractionDigits: 6) } s sein: steht time_s in Millisekunden? Nötig sind Sekunden
 run-rows-missing = { $run }: keine Zeile während { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s nach time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines gemessenen Rands werden überbrückt: die Laufdatei dort teilen
 run-times-fall = { $run }: time_s = { $time } folgt auf { $before } (Zeile { $row }): Zeiten müssen steigen; die Zeile berichtigen
 run-too-short =

@@ -380,6 +380,7 @@ run-table-empty = the table has no rows; a run needs at least one scan
 run-time-falls = time_s = { $time } does not rise ({ $place }: { $before }); sort the rows, remove doubled ones
 run-time-missing = the time is missing; every row needs one
 run-twice = run '{ $run }' is given twice; each run counts once
+run-twice-by-readings = run '{ $run }' holds the readings of run '{ $other }' to the last digit; each pressing counts once: leave one of them out
 run-value-infinite = infinite; must be a number
 told-by-limit-switch = limit switch
 told-by-one-state = press of one state
@@ -784,6 +785,7 @@ model-file-unreadable = { $file }: cannot read the model file: { $error }
 parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } lies before { $earlier } = { $early }; check column closed
 run-ramp-impossible = { $run }: ramp_s = { $value }: closing takes a finite time, at least 0 s
+run-rows-far-apart = { $run }: rows are { NUMBER($seconds, maximumFractionDigits: 0) } s apart by time_s, at most { NUMBER($most, maximumFractionDigits: 6) } s can be: is time_s in milliseconds? It must be in seconds
 run-rows-missing = { $run }: no row for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s after time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a measured boundary are bridged: cut the run there
 run-times-fall = { $run }: time_s = { $time } follows { $before } (row { $row }): times must rise; correct the row
 run-too-short =

@@ -1,10 +1,11 @@
-"""Runs read for a night's judgement: one that cannot be read any more is left out, and an alarm says why."""
+"""Runs read for a night's judgement: one that cannot be read, or is there twice, is left out with an alarm."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from daq.files.legible import check_each_once
 from daq.records import InputError, Run
 from daq.store import RunRecord, Store
 from daq.words import Message, say, spoken
@@ -19,22 +20,24 @@ class RunReader:
     store: Store
     press: str
     left_out: dict[str, Message] = field(default_factory=dict)
-    """Runs that could not be read, and the reason of each."""
+    """Runs that could not be read or hold another's readings, and the reason of each."""
     _kept: dict[str, Run] = field(default_factory=dict)
     """The newest, which every step of a judgement asks for."""
 
     def read(self, run: str) -> Run | None:
-        """Return a run, None where it cannot be read."""
+        """Return a run, None where it cannot be read or holds the readings of one that is kept."""
         if run in self.left_out:
             return None
         if run in self._kept:
             return self._kept[run]
         try:
-            return self.store.load_run(run)
+            found = self.store.load_run(run)
+            check_each_once([*self._kept.values(), found])
         except InputError as error:
             self.left_out[run] = say("run-not-judged", run=run, why=spoken(error))
             self.store.log("alarm", PROCESS, self.left_out[run], self.press)
             return None
+        return found
 
     def newest(self, records: Iterable[RunRecord], wanted: int) -> list[RunRecord]:
         """Return runs, oldest first as given, without those of the newest that cannot be read.

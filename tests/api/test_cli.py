@@ -549,7 +549,7 @@ def test_a_terminal_sees_that_many_runs_are_being_read(tmp_path):
 
     time_s = np.arange(3.0)
     for number in range(3):
-        write_run(Run(f"r{number}", {}, time_s, {"top_1": time_s}, "", {}), tmp_path / f"r{number}.csv")
+        write_run(Run(f"r{number}", {}, time_s, {"top_1": time_s + number}, "", {}), tmp_path / f"r{number}.csv")
     slow = f"""
 import time, daq, api.commands.inputs as inputs
 from daq.press.press_file import read_press

@@ -650,7 +650,10 @@ def test_a_run_counts_once_and_tables_without_a_name_are_told_apart():
         runs_of([SHORT, SHORT], softsensor.read_press(LAB))
     table = daq.frame_of(read_run(SHORT))
     table.attrs.pop("run")
-    assert [run.name for run in runs_of([table, SHORT, table], softsensor.read_press(LAB))] == [
+    with pytest.raises(daq.InputError, match=f"run 'frame' holds the readings of run '{SHORT.stem}'"):
+        runs_of([SHORT, table], softsensor.read_press(LAB))
+    other, third = table + 0.1, table + 0.2
+    assert [run.name for run in runs_of([other, SHORT, third], softsensor.read_press(LAB))] == [
         "frame-1",
         SHORT.stem,
         "frame-2",

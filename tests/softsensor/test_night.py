@@ -138,6 +138,13 @@ def test_each_run_is_bet_on_once_wherever_a_night_is_killed(store, runs, monkeyp
     assert (bets().models, bets().runs, bets().counted) == (2, 0, store.run_record("later").number)
 
 
+def test_a_pressing_that_is_stored_twice_is_judged_once(store, runs):
+    fill(store, [*runs[:3], replace(runs[0], name="copy")])
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert [run for run, _ in outcome.left_out] == [runs[0].name]
+    assert "holds the readings of run 'copy'" in str(outcome.unread[0])
+
+
 def damage_of(store, kind, run, tmp_path):
     if kind == "a row":
         first = store.run_record(run).first_scan
