@@ -37,7 +37,7 @@ logger); the live sensor, which cannot know the next, holds the last reading as 
 # Numbers without another source were set by hand, 2026-11.
 
 MAX_GAP_S = 60.0
-"""Missing rows are bridged up to this long. [s]"""
+"""Missing rows are bridged up to this long; rows that lie further apart as a rule are not in seconds. [s]"""
 LIMITS = {
     "thickness_mm": (0.001, 10000.0),
     "conductivity_W_mK": (0.005, 5000.0),
@@ -48,7 +48,7 @@ LIMITS = {
 
 
 def check_times(press: Press, run: Run, moments: Moments) -> None:
-    """Refuse times that do not rise, long gaps, and moments out of order."""
+    """Refuse times that do not rise or are in another unit, long gaps, and moments out of order."""
     where, t = run.source or run.name, run.time_s
     if len(t) < 2:
         raise BrokenTime(say("run-too-short", run=where, rows=len(t)))
@@ -58,6 +58,9 @@ def check_times(press: Press, run: Run, moments: Moments) -> None:
         i = int(wrong[0])
         time, before = f"{t[i + 1]:g}", f"{t[i]:g}"
         raise BrokenTime(say("run-times-fall", run=where, time=time, before=before, row=i + 2))
+    usual = float(np.median(steps))
+    if usual > MAX_GAP_S:
+        raise BrokenTime(say("run-rows-far-apart", run=where, seconds=usual, most=MAX_GAP_S))
     measured = BoundaryKind.MEASURED in (press.boundary.bottom.kind, press.boundary.top.kind)
     i = int(np.argmax(steps))
     if measured and steps[i] > MAX_GAP_S:

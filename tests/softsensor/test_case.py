@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.press.press_file import At, Core, Sensor, parse_press
+from daq.press.press_file import At, Core, Sensor, parse_press, read_press
 from daq.records import BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, OutsideLayer, Run
 from softsensor.effects import BUILT_IN
 from softsensor.heat.batch import solve_many
 from softsensor.heat.case import step_edges, step_means
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile
+from softsensor.heat.run_checks import check_times
 from softsensor.heat.timing import ramp
 from softsensor.live.replay import replay
+from tests.softsensor.conftest import LAB_PRESS
 
 
 def prepared(press, run, moments):
@@ -85,6 +87,13 @@ def test_a_gap_in_the_rows_is_refused_where_a_boundary_is_measured(lab_press, ma
     cut = run.at_rows(keep)
     with pytest.raises(BrokenTime, match=r"no row for 65\.\d s after time_s = 24\.9"):
         prepared(lab_press, cut, moments)
+
+
+@pytest.mark.parametrize("rig", ["lab", "pmma"])
+def test_times_in_milliseconds_are_refused_whether_a_boundary_is_measured_or_not(make_run, moments, rig):
+    press, run = read_press(LAB_PRESS.with_stem(rig)), make_run()
+    with pytest.raises(BrokenTime, match=r"rows are 100 s apart by time_s.* in milliseconds"):
+        check_times(press, replace(run, time_s=1000.0 * run.time_s), moments)
 
 
 def test_a_sensor_outside_a_panel_is_refused(lab_press, make_run, moments):
