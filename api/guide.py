@@ -226,8 +226,17 @@ def _reference(path: str) -> str | None:
         for public in module.__all__:
             getattr(module, public)
         modules[known] = pdoc.doc.Module(module)
+        for shown in modules[known].classes:
+            _take_in(shown)
     pdoc.render.configure(docformat="numpy", search=False, show_source=False, footer_text="Kerntemp")
     return _FORMULA.sub(_drawn_formula, str(pdoc.render.html_module(modules[name], modules)))
+
+
+def _take_in(shown: Any) -> None:
+    """Let what a public class has from a class within the packages stand among its own: nothing else shows it."""
+    for member in shown.members.values():
+        if member.taken_from[0].partition(".")[0] in REFERENCE:
+            member.taken_from = (shown.modulename, member.qualname)
 
 
 _FORMULA = re.compile(r"\$\$([^$]+)\$\$")

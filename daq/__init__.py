@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from daq.records import Nonphysical as Nonphysical
     from daq.records import NoSteadyState as NoSteadyState
     from daq.records import PressState as PressState
+    from daq.records import Quality as Quality
     from daq.records import Run as Run
     from daq.shared import shared_files as shared_files
     from daq.store.records import StoreUnavailable as StoreUnavailable
@@ -40,6 +41,7 @@ __all__ = [
     "Nonphysical",
     "Press",
     "PressState",
+    "Quality",
     "Run",
     "StoreTables",
     "StoreUnavailable",
@@ -61,6 +63,7 @@ _HOMES = {
     "Nonphysical": "daq.records",
     "Press": "daq.press.press_file",
     "PressState": "daq.records",
+    "Quality": "daq.records",
     "Run": "daq.records",
     "StoreUnavailable": "daq.store.records",
     "frame_of": "daq.files.frames",

@@ -153,7 +153,7 @@ def open_store(url: str | Path) -> StoreTables:
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> from daq.shared import shared_files
+    >>> from daq import shared_files
     >>> with TemporaryDirectory() as folder:
     ...     play(shared_files() / "samples" / "2026-03-04-07.csv", f"{folder}/runs.sqlite", "lab", scans=200)
     ...     with open_store(f"{folder}/runs.sqlite") as store:
@@ -230,7 +230,7 @@ def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
 
     Examples
     --------
-    >>> from daq.shared import shared_files
+    >>> from daq import shared_files
     >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
     >>> moments = find_moments(run, press)
     >>> round(moments.opened_s - moments.closed_s), str(moments.source)
@@ -248,7 +248,7 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
 
     Examples
     --------
-    >>> from daq.shared import shared_files
+    >>> from daq import shared_files
     >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
     >>> find_events(run, press)["event"].tolist()
     ['inserted', 'closed', 'opened']

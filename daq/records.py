@@ -120,15 +120,23 @@ class Quality(StrEnum):
     """What one value is worth, from the wire to the chart."""
 
     GOOD = "good"
+    """As read."""
     OPEN = "open"
+    """The sensor's circuit is open."""
     OVER = "over"
+    """Above what the channel can measure."""
     UNDER = "under"
+    """Below it."""
     STALE = "stale"
+    """It has not changed for too long: the logger may stand still."""
     BAD_FRAME = "bad_frame"
+    """What came over the wire was damaged."""
     MISSING = "missing"
+    """There is none."""
     LATE = "late"
     """Asked for, and not there when its scan had to be taken: a slow logger, or a busy machine."""
     SIMULATED = "simulated"
+    """From a virtual press."""
 
     @property
     def usable(self) -> bool:

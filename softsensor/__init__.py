@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from daq.press.press_file import Press as Press
     from daq.press.resin_file import Resin as Resin
+    from softsensor.diagnosis.finding import Diagnosis as Diagnosis
     from softsensor.effects import Conversion as Conversion
     from softsensor.effects import Effect as Effect
     from softsensor.effects import Live as Live
@@ -49,20 +50,27 @@ if TYPE_CHECKING:
     from softsensor.face.reproducing import reproduce as reproduce
     from softsensor.face.simulating import Simulation as Simulation
     from softsensor.face.simulating import simulate as simulate
+    from softsensor.fitting.campaign import CampaignFit as CampaignFit
+    from softsensor.fitting.result import RunFit as RunFit
     from softsensor.heat.model import ThermalModel as ThermalModel
     from softsensor.heat.model_file import FittedValue as FittedValue
     from softsensor.heat.model_file import ModelFile as ModelFile
     from softsensor.live.forecast import Forecast as Forecast
     from softsensor.live.inside import Inside as Inside
     from softsensor.live.leaving import Leave as Leave
+    from softsensor.live.replay import Replay as Replay
     from softsensor.live.sensor import Estimate as Estimate
+    from softsensor.live.validity import Invalid as Invalid
+    from softsensor.live.validity import InvalidReason as InvalidReason
 
 IMPORTED_S = time()
 """When this process began to import the package; see `daq.compiled`. [s]"""
 
 __all__ = [
     "AdviceResult",
+    "CampaignFit",
     "Conversion",
+    "Diagnosis",
     "DiagnosisResult",
     "Effect",
     "Estimate",
@@ -70,6 +78,8 @@ __all__ = [
     "FittedValue",
     "Forecast",
     "Inside",
+    "Invalid",
+    "InvalidReason",
     "Leave",
     "Live",
     "LiveSensor",
@@ -79,9 +89,11 @@ __all__ = [
     "PlanResult",
     "Prediction",
     "Press",
+    "Replay",
     "Reproduction",
     "Resin",
     "Role",
+    "RunFit",
     "Scene",
     "Simulation",
     "SteamLimit",
@@ -104,7 +116,9 @@ __all__ = [
 ]
 _HOMES = {
     "AdviceResult": "softsensor.face.advising",
+    "CampaignFit": "softsensor.fitting.campaign",
     "Conversion": "softsensor.effects",
+    "Diagnosis": "softsensor.diagnosis.finding",
     "DiagnosisResult": "softsensor.face.diagnosing",
     "Effect": "softsensor.effects",
     "Estimate": "softsensor.live.sensor",
@@ -112,6 +126,8 @@ _HOMES = {
     "FittedValue": "softsensor.heat.model_file",
     "Forecast": "softsensor.live.forecast",
     "Inside": "softsensor.live.inside",
+    "Invalid": "softsensor.live.validity",
+    "InvalidReason": "softsensor.live.validity",
     "Leave": "softsensor.live.leaving",
     "Live": "softsensor.effects",
     "LiveSensor": "softsensor.face.feeding",
@@ -121,9 +137,11 @@ _HOMES = {
     "PlanResult": "softsensor.face.planning",
     "Prediction": "softsensor.face.predicting",
     "Press": "daq.press.press_file",
+    "Replay": "softsensor.live.replay",
     "Reproduction": "softsensor.face.reproducing",
     "Resin": "daq.press.resin_file",
     "Role": "softsensor.effects",
+    "RunFit": "softsensor.fitting.result",
     "Scene": "softsensor.effects",
     "Simulation": "softsensor.face.simulating",
     "SteamLimit": "softsensor.face.learning",

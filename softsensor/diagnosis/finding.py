@@ -92,16 +92,25 @@ class Diagnosis:
     """The answer."""
 
     verdict: Verdict
+    """What it comes to."""
     findings: tuple[Finding, ...]
+    """Causes that are named, in the order in which they were added."""
     suspected: tuple[Finding, ...]
     """What the search chose and the evidence does not earn a name."""
     base: Errors
+    """What the plain model leaves."""
     extended: Errors
+    """What is left with the causes named."""
     noise_floor_K: float  # noqa: N815
+    """What scatters in the readings themselves. [K]"""
     where: tuple[dict[str, Any], ...]
+    """Signals and times that the plain model misses most."""
     candidates: tuple[dict[str, Any], ...]
+    """What else was tried, with its score."""
     next_measurement: Message
+    """What would settle most of what is open."""
     seconds: float
+    """How long it took. [s]"""
     faults: dict[str, tuple[ChannelFault, ...]]
     """Faulty channels by run."""
     stages: tuple[SettledModel, ...]
@@ -111,6 +120,7 @@ class Diagnosis:
     rivals: tuple[tuple[str, Array], ...]
     """The first cause and the runners-up, with what each run, left out, saves by them."""
     warnings: tuple[Message, ...] = ()
+    """What is to be known of it."""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
 

@@ -50,8 +50,8 @@ class LiveSensor(ScanSensor):
     Examples
     --------
     >>> import daq
-    >>> from daq.shared import shared_files
-    >>> from softsensor.face.inputs import read_run
+    >>> from daq import shared_files
+    >>> from softsensor import read_run
     >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
     >>> table = daq.frame_of(read_run(run))
     >>> live = LiveSensor(press, table.attrs)

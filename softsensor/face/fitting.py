@@ -118,7 +118,7 @@ def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = Fa
 
     Examples
     --------
-    >>> from daq.shared import shared_files
+    >>> from daq import shared_files
     >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
     >>> found = fit(run, press).frame().loc["2026-03-04-07"]
     >>> sorted(found.index[found["identifiable"]])

@@ -81,8 +81,8 @@ def learn_steam_limit(
     --------
     What is believed of steam falls where a panel blisters:
 
-    >>> from daq.shared import shared_files
-    >>> from softsensor.face.inputs import read_run
+    >>> from daq import shared_files
+    >>> from softsensor import read_run
     >>> shared = shared_files()
     >>> marked = {"panel.moisture_percent": 8.0, "panel.verdict": "blister"}
     >>> run = read_run(shared / "samples" / "2026-03-04-07.csv", header=marked)

@@ -89,7 +89,7 @@ def predict(
 
     Examples
     --------
-    >>> from daq.shared import shared_files
+    >>> from daq import shared_files
     >>> from softsensor import read_run
     >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
     >>> found = predict(run, press).frame()

@@ -76,10 +76,15 @@ class CampaignFit:
     """What a campaign says about a press."""
 
     press: Press
+    """The press, as its file has it."""
     model: ThermalModel
+    """What the runs were fitted with."""
     runs: tuple[RunFit, ...]
+    """Each run's fit, in the order given."""
     coefficients: Mapping[str, CampaignCoefficient]
+    """What the described runs say of each coefficient together."""
     population: Population
+    """How coefficients scatter from run to run."""
     borrowed: Mapping[str, Mapping[str, FittedValue]]
     """By run and coefficient: the run's value with what it borrows from the others; only runs that are met."""
     dependence: Dependence | None
@@ -89,6 +94,7 @@ class CampaignFit:
     profiles: tuple[Mapping[str, LikelihoodProfile], ...] = ()
     """By run and coefficient; of runs for which they were not asked empty."""
     method: str = "default"
+    """By which rule the runs were fitted."""
 
     def __repr__(self) -> str:
         """Return on one screen how many runs there are, and what they say of each coefficient. [W/m²K]"""

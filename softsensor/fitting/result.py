@@ -98,27 +98,38 @@ class RunFit:
     """What a run says about the press."""
 
     run: str
+    """Its name."""
     coefficients: Mapping[str, Coefficient]
+    """By name. [W/m²K]"""
     rmse_K: float  # noqa: N815
     """All good channels but validation ones, whole run, each channel's constant offset removed. [K]"""
     rmse_closed_K: float  # noqa: N815
+    """The same while the press is closed. [K]"""
     rmse_raw_K: float  # noqa: N815
+    """As `rmse_K`, constant offsets left in. [K]"""
     initial_rmse_K: float  # noqa: N815
     """At the press file's guesses. [K]"""
     rmse_still_K: float  # noqa: N815
     """As `rmse_K`, rows left out in which the press or the panel is being moved: a thin face warms by 100 K while
     the press closes, so that one such row, some ms off, may be nine tenths of `rmse_K`. [K]"""
     initial_rmse_still_K: float  # noqa: N815
+    """The same at the press file's guesses. [K]"""
     converged: bool
+    """Whether the search for the least misfit came to rest."""
     closed_s: float
+    """When the press closed, as refined. [s of the run]"""
     opened_s: float
+    """When it opened. [s of the run]"""
     warnings: tuple[Message, ...]
+    """What is to be known of it."""
     names: tuple[str, ...]
     """Of the unknowns, nuisances included."""
     covariance: Array
     """Of the internal variables: logarithms of coefficients, nuisances over their standard deviation."""
     problem: FitProblem
+    """What was asked: signals, unknowns, their priors."""
     minimum: Minimum
+    """What the search found."""
     residuals: Mapping[str, Array]
     """Reading minus prediction by channel, its constant offset removed (rows). [K]"""
     offsets: Mapping[str, float]

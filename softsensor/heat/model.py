@@ -96,18 +96,11 @@ class ThermalModel:
 
     Examples
     --------
-    >>> from softsensor.effects import find_effect
-    >>> from daq.press.press_file import parse_press
-    >>> press = parse_press('''
-    ... [[layer]]
-    ... name = "panel"
-    ... from_run = true
-    ... [boundary.bottom]
-    ... kind = "measured"
-    ... column = "platen"
-    ... ''')
-    >>> ThermalModel(press, (find_effect("edge_loss"),)).parameter_names
-    ('edge_loss.W_m3K',)
+    >>> from daq import shared_files
+    >>> from softsensor import find_effect, read_press
+    >>> press = read_press(shared_files() / "presses" / "lab.toml")
+    >>> ThermalModel(press, (find_effect("edge_loss"),)).parameter_names[-2:]
+    ('h_ap', 'edge_loss.W_m3K')
     """
 
     press: Press

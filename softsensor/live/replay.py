@@ -24,7 +24,9 @@ class Replay:
     """The live sensor's estimates at all scans of a run."""
 
     run: Run
+    """What was replayed."""
     estimates: tuple[Estimate, ...]
+    """One a scan, in order."""
     resin: bool = False
     """Whether cure, steam and leave to open were asked for."""
 

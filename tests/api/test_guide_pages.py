@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
-from urllib.parse import urljoin, urlsplit
+from html import unescape
+from urllib.parse import unquote, urljoin, urlsplit
 
 import pytest
 
 import daq
 import softsensor
 from api.cli import main
-from api.guide import guide_page
+from api.guide import guide_files, guide_page
 
 SOURCES = re.compile(r"""(?:src|href)=["']([^"'#]+)""")
+LINKS, PLACES = re.compile(r"""href=["']([^"']*)["']"""), re.compile(r"""\b(?:id|name)=["']([^"']*)["']""")
 LOADED = re.compile(r"""(?:src=["']|<link[^>]*href=["']|url\(["']?|@import ["'])(?!data:)([^"')]+)""")
 
 
@@ -64,6 +67,27 @@ def test_formulas_of_the_reference_are_drawn(pages):
     )
     assert "$$" not in text
     assert "merror" not in text
+
+
+def test_every_link_of_the_guide_leads_to_a_page_and_to_a_place_on_it():
+    files = guide_files()
+    places = {name: {unescape(found) for found in PLACES.findall(text)} for name, text in files.items()}
+    broken = set()
+    for name, text in files.items():
+        for link in map(unescape, LINKS.findall(text)):
+            page, _, place = link.partition("#")
+            to = posixpath.normpath(posixpath.join(posixpath.dirname(name), unquote(page))) if page else name
+            if re.match(r"[a-z]+:", link):
+                continue
+            if to not in files or (place and unquote(place) not in places[to]):
+                broken.add((name, link))
+    assert broken == set()
+
+
+def test_the_reference_shows_what_a_public_class_has_from_one_that_is_not(pages):
+    text = pages["/guide/reference/softsensor.html"]
+    for name in ("SteamLimit.most_kPa", "SteamLimit.foreseen", "LiveSensor.forecast", "LiveSensor.look_ahead"):
+        assert f'id="{name}"' in text, name
 
 
 @pytest.mark.parametrize("package", [softsensor, daq])

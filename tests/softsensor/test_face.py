@@ -83,6 +83,31 @@ def test_every_public_name_is_there_and_says_what_it_is(package):
         _ = package.not_a_name
 
 
+def public_words():
+    """Return the docstrings that the reference shows, by the public name they are of."""
+    for package in (softsensor, daq):
+        for name in package.__all__:
+            one = getattr(package, name)
+            inside = (
+                [member for member in vars(one).values() if hasattr(member, "__doc__")]
+                if isinstance(one, type)
+                else []
+            )
+            yield name, [words for words in (one.__doc__, *(m.__doc__ for m in inside)) if isinstance(words, str)]
+
+
+def test_examples_of_the_reference_import_public_names_alone():
+    private = re.compile(r"(?:from|import) (?:daq|softsensor|api)\.")
+    lines = [
+        (name, line.source)
+        for name, of in public_words()
+        for words in of
+        for line in doctest.DocTestParser().get_examples(words)
+    ]
+    assert len(lines) > 100
+    assert [(name, line) for name, line in lines if private.search(line)] == []
+
+
 def fields_without_words(cls):
     """Return the public fields of a class, and those of them under which no words stand, its parents' included."""
     ours = [one for one in cls.__mro__ if one.__module__.partition(".")[0] in ("daq", "softsensor")]
