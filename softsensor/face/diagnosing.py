@@ -101,7 +101,19 @@ class DiagnosisResult:
 def diagnose(
     runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: str | Sequence[str] | None = None
 ) -> DiagnosisResult:
-    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
+    r"""Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
+
+    The gain of a cause is what errors of n runs left out fall by, from b to a, with d = ln(b / a) and Student's
+    interval of its mean:
+
+    $$\mathrm{gain} = \sqrt{\frac{1}{n} \sum_i b_i^2} \left(1 - e^{-\overline{d}}\right), \quad
+    \mathrm{ci95}: \overline{d} \pm t_{n - 1} \frac{s}{\sqrt{n}}$$
+
+    Its p-value holds the sum of what the runs show, x of each in standard deviations, against the sums under all F
+    patterns σ of flipped signs, the largest of all causes j that were looked for:
+
+    $$p_k = \frac{1}{F} \sum_{\sigma} \left[\max_j \left|\sum_i \sigma_i z_{ij}\right| \geq
+    \left|\sum_i z_{ik}\right|\right], \quad z = \frac{x}{1 + |x| / 9}$$
 
     Parameters
     ----------

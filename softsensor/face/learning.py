@@ -35,7 +35,13 @@ DRAWN = np.linspace(0.0, 2.0, 81)[1:]
 
 
 class SteamLimit(Learned):
-    """What is known of the steam that panels bear: weights of a grid. [kPa]"""
+    r"""What is known of the steam that panels bear: weights of a grid. [kPa]
+
+    A panel blisters where steam at opening exceeds what its bond bears, whose logarithm has mean m and scatter t;
+    ln p is known to sd:
+
+    $$P(\mathrm{blister}) = \Phi\left(\frac{\ln p - m}{\sqrt{t^2 + \mathrm{sd}^2}}\right)$$
+    """
 
     def frame(self) -> pd.DataFrame:
         """Return the chance of a blister over the partial pressure of steam at opening. [kPa]"""

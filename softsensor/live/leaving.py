@@ -34,7 +34,20 @@ CHANGED = "sudden_change"
 
 @dataclass(frozen=True)
 class Leave:
-    """Cure and steam at one moment, and how likely each limit is broken if the press opens then."""
+    r"""Cure and steam at one moment, and how likely each limit is broken if the press opens then.
+
+    Cure is that after an equivalent time x at the resin file's reference temperature T₀, on its law's isotherm:
+
+    $$\alpha = \alpha_0(x), \quad
+    \frac{dx}{dt} = \sum_j w_j(x) e^{-\frac{E_j(x)}{R} \left(\frac{1}{T} - \frac{1}{T_0}\right)}$$
+
+    Steam is the pressure p at which all layers' wood, s its shares of the dry mass, holds the panel's water:
+
+    $$\sum_i s_i m\left(\frac{p}{p_s(T_i)}, T_i\right) = \frac{\mathrm{moisture}}{\mathrm{factor}}$$
+
+    with m the moisture of wood at a humidity (Hailwood and Horrobin; Simpson's coefficients) and p_s the
+    saturation pressure (IAPWS-IF97). The guide's page of symbols has the whole of it.
+    """
 
     cure_top: float = math.nan
     """Degree of cure of the upper face, from 0 to 1."""
