@@ -88,12 +88,12 @@ from softsensor.diagnosis.selection import Progress, Round, cool_rim, search_all
 from softsensor.diagnosis.settling import SettledModel, panels_as_usual, run_errors, settle_base, with_whole_panels
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, pattern_test, pockets
 from softsensor.diagnosis.where import MOST, stretches, where_row
-from softsensor.effects import Effect, find_effect, sensor_fault
+from softsensor.effects import Effect, find_effect, platen_offset, sensor_fault
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.run_checks import load_remarks
 from softsensor.signals.digest import Digest, Whitened, screened_digest
 from softsensor.signals.faces import rim_falls
-from softsensor.signals.screen import ChannelFault, recurring
+from softsensor.signals.screen import LEAST_CHANNELS, ChannelFault, recurring
 from softsensor.signals.spikes import Spikes
 
 NOT_A_MODEL = Gain(0.0, None)
@@ -346,7 +346,7 @@ def _findings(
     chosen = [(r, r.chosen) for r in rounds if r.chosen is not None]
     steps = zip(chosen, pairwise(stages), pairwise(shares), pairwise(errors), strict=True)
     for (round_, cause), (before, _), (share, more), (without, with_it) in steps:
-        names = _alternatives(round_, cause, final.effects)
+        names = (*_alternatives(round_, cause, final.effects), *_lone_channels(cause.effect.name, final))
         against = [
             (c.effect.name, round(float(paired_t(cause.gains - c.gains)), 2))
             for c in round_.candidates
@@ -392,6 +392,18 @@ def _alternatives(round_: Round, cause: Candidate, named: Sequence[str]) -> tupl
     """
     weaker = {c.effect.name for c in round_.candidates if c is not cause and c.gain <= cause.gain}
     return tuple(n for n in round_.set if n not in weaker.intersection(named))
+
+
+def _lone_channels(cause: str, stage: SettledModel) -> tuple[str, ...]:
+    """Return the name of faulty channels beside that of platens that are off, where nothing excludes the former.
+
+    A platen that is off shifts what lies near it by a constant, and so reads a channel that is off. Three or more
+    at a place are compared with each other; of fewer nobody knows.
+    """
+    if cause != platen_offset.EFFECT.name:
+        return ()
+    few = any(len(columns) < LEAST_CHANNELS for d in stage.data for columns in d.digest.channels.values())
+    return (sensor_fault.EFFECT.name,) if few else ()
 
 
 def _nearly(rounds: Sequence[Round], stage: SettledModel, beside: tuple[SettledModel, ...]) -> tuple[Finding, ...]:

@@ -1,5 +1,6 @@
 """Real runs of other laboratories: moisture in moist pine and not in dry, the load in a press rig."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -143,6 +144,15 @@ def test_press_rig_shows_the_load_and_no_sensor_offset():
     assert [f.set for f in found.findings] == [("contact_load",)]
     assert found.findings[0].parameters["exponent"].ci95[0] > 0.0
     assert found.extended.heldout_rmse_K < 0.75 * found.base.heldout_rmse_K
+
+
+def test_an_inner_thermocouple_that_is_off_is_no_platen_that_is_for_certain():
+    """Nothing lies beside it that would show which of the two is."""
+    runs = _runs(PRESS_RIG, "press_rig")
+    off = [replace(r, columns=r.columns | {"T_Inco2": r.columns["T_Inco2"] + 5.0}) for r in runs]
+    found = diagnose(read_press(ROOT / "deploy/presses/rig.toml"), off, law=False)
+    assert [f.set for f in found.findings] == [("platen_offset", "sensor_fault")]
+    assert found.verdict == "ambiguous"
 
 
 def test_a_rig_without_a_panel_is_told_nothing_about_a_core_and_a_disc_how_its_core_ends():
