@@ -6,11 +6,12 @@ from api.answers.schemas import LeftOut, Night
 from api.answers.words import message_answer
 from daq.store.records import StoredNight
 from daq.words import Message
-from softsensor.jobs.night_progress import nights_for
 
 
 def night_of(stored: StoredNight) -> Night:
     """Return a stored night as lists show it."""
+    from softsensor.jobs.night_progress import nights_for  # and with it the compiler, for a second of a start
+
     content = {key: value for key, value in stored.night.items() if key != "drifts"}
     reason = Message.from_json(content.pop("reason"))
     left_out = [(entry["run"], Message.from_json(entry["why"])) for entry in content.pop("left_out")]

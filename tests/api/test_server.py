@@ -294,3 +294,11 @@ def test_what_was_left_out_of_the_log_is_counted_and_faults_of_our_own_are_not_l
     assert [logged(logging.WARNING, "gone") for _ in range(2)] == ["gone (+3)", None]
     now[0] = 120.0
     assert logged(logging.WARNING, "gone") == "gone (+1)"
+
+
+def test_a_server_that_starts_loads_no_compiler():
+    """The page is there a third sooner; whoever asks for what needs it waits then."""
+    heavy = "('numba', 'scipy', 'pandas', 'matplotlib', 'softsensor.heat.model')"
+    code = f"import sys, api.http.app; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
