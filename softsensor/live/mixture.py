@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
+from itertools import accumulate, groupby
 
 import numpy as np
 
@@ -109,12 +109,11 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: Sequence[Betwee
     between
         Of each panel what it is alone between its faces; none: changes at once are left out.
     """
-    counts = [len(f.names) for f in filters]
-    ends = np.cumsum(counts)
+    ends = list(accumulate(len(f.names) for f in filters))
+    parts = [slice(end - len(f.names), end) for f, end in zip(filters, ends, strict=True)]
     log, means, variances, doubts = np.empty((4, ends[-1]))
     plain, panel = math.nan, 0
-    for f, end, count in zip(filters, ends.tolist(), counts, strict=True):
-        own = slice(end - count, end)
+    for f, own in zip(filters, parts, strict=True):
         out = Components(log[own], means[own], variances[own])
         plain = plain if f.panel == panel else math.nan  # another panel is no doubt about a cause's law
         plain, held_K = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, plain, out)
@@ -122,7 +121,8 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: Sequence[Betwee
         variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + squares @ (1.0 - loose)
         doubts[own] = squares @ loose
     chances = np.exp(log - log.max())
-    shares = np.split(chances / chances.sum(), ends[:-1])
+    chances /= chances.sum()
+    shares = [chances[own] for own in parts]
     cores, begin = [], 0
     for panel, group in groupby(zip(filters, shares, strict=True), key=lambda pair: pair[0].panel):
         ours, likely = zip(*group, strict=True)
