@@ -56,13 +56,16 @@ def without_spikes(press: Press, run: Run) -> tuple[Run, tuple[Spikes, ...]]:
 def without_jumps(time_s: Array, values: Array, moments: Moments) -> Array:
     """Leave out cells of a face that jump and come back, of all its channels or of the only one (rows, channels).
 
-    Held against readings between the same two moments of the press, on either side: at a moment faces jump.
+    Held against readings between the same two moments of the press, on either side: at a moment faces jump. At the
+    run's end against those before.
     """
     moved = np.array([moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s])
-    middle, bad = nan_median(values), np.zeros(len(time_s), dtype=bool)
-    read, side = np.flatnonzero(np.isfinite(middle)), SPIKE_WINDOW // 2
-    for rows in np.split(read, np.searchsorted(time_s[read], np.sort(moved[np.isfinite(moved)]))):
-        bad[rows[side:-side]] = _jumps(middle[rows])[side:-side]
+    middle, bad, side = nan_median(values), np.zeros(len(time_s), dtype=bool), SPIKE_WINDOW // 2
+    read = np.flatnonzero(np.isfinite(middle))
+    between = np.split(read, np.searchsorted(time_s[read], np.sort(moved[np.isfinite(moved)])))
+    for rows in between:
+        judged = slice(side, None if rows is between[-1] else -side)
+        bad[rows[judged]] = _jumps(middle[rows])[judged]
     return np.where(bad[:, None], np.nan, values)
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.press.press_file import parse_press
+from daq.press.press_file import parse_press, read_press
+from daq.records import Moments, Run
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
@@ -14,6 +15,7 @@ from softsensor.signals.moments import moments_of
 from softsensor.signals.places import collect_signals
 from softsensor.signals.robust import nan_median, robust_sd
 from softsensor.signals.screen import ChannelFault, FaultKind, recurring, screened
+from tests.softsensor.conftest import LAB_PRESS
 
 PRESS = parse_press(press_toml())
 
@@ -67,7 +69,7 @@ def test_single_bad_cells_make_no_channel_faulty_and_hide_none_that_is(measured,
 
 def test_rows_that_a_whole_face_reads_wrongly_are_left_out_and_its_jumps_as_the_press_moves_are_not(measured):
     moments = moments_of(measured, PRESS)
-    quiet = np.flatnonzero(measured.time_s > moments.closed_s + 5.0)[[0, 7]]
+    quiet = np.flatnonzero(measured.time_s > moments.closed_s + 5.0)[[0, 7, -1]]
     wrong = np.zeros(len(measured.time_s))
     wrong[quiet] = -60.0
     run = spoiled(measured, **{f"top_{i}": measured.columns[f"top_{i}"] + wrong for i in range(1, 8)})
@@ -78,6 +80,16 @@ def test_rows_that_a_whole_face_reads_wrongly_are_left_out_and_its_jumps_as_the_
     for every in (1, 2, 6):
         seldom = measured.at_rows(slice(None, None, every))
         assert screened(PRESS, seldom, moments_of(seldom, PRESS)).dropped == 0
+
+
+@pytest.mark.parametrize("last", [118, 119])
+def test_a_lone_channel_of_a_rig_loses_its_single_bad_cells_up_to_the_last_row(last):
+    values = 20.0 + 0.5 * np.arange(120.0)
+    values[[40, 41, last]] += 80.0
+    run = Run("disc", {}, np.arange(120.0), {"bottom_1": values})
+    sound = screened(read_press(LAB_PRESS.with_stem("pine_disc")), run, Moments(inserted_s=0.0))
+    assert np.flatnonzero(np.isnan(sound.run.columns["bottom_1"])).tolist() == [40, 41, last]
+    assert sound.dropped == 3
 
 
 @pytest.mark.parametrize("begins_s", [30.0, 60.0])
