@@ -226,8 +226,6 @@ class Effect:
     """A fault or property of the measuring chain; settled before physics."""
     nonlinear: bool = False
     """Whether its terms depend on temperature."""
-    closed_step_s: float = math.inf
-    """Longest step that bears its terms while the press is closed. [s]"""
     layers: bool = False
     """Whether it adds layers to the mesh (``Terms.paper``)."""
     needs: Need = Need.NOTHING

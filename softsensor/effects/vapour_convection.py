@@ -38,7 +38,6 @@ EFFECT = Effect(
     chance=0.1,
     live=Live(Role.OWN_FILTER),  # what it does about a size of zero is half of what it does where it is at work
     nonlinear=True,
-    closed_step_s=0.1,
     needs=Need.PANEL,
     confirmed_in_core=True,
 )

@@ -180,8 +180,6 @@ class Fineness:
     """Step around a switch. [s]"""
     growth: float = GROWTH
     """Of steps after it."""
-    closed_step_s: float = np.inf
-    """Longest step while the press is closed, where that is shorter. [s]"""
 
     def __post_init__(self) -> None:
         for name, value, lower, upper in (
@@ -218,8 +216,7 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     panel = panel_of(run) if press.panel_layers else None
     mesh = _mesh(press, panel, paper=paper, fineness=fineness.cells)
     fine, coarse = fineness.switch_step_s / fineness.cells, fineness.max_step_s / fineness.cells
-    closed = min(fineness.closed_step_s / fineness.cells, coarse)
-    edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth, closed)
+    edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth)
     ends = (press.boundary.bottom, press.boundary.top)
     series = [boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
     sensors = press.sensors_of(run) | press.sensors_of(run, "validation")
@@ -253,12 +250,8 @@ def snap(h: Array) -> Array:
     return np.asarray(h[first][group])
 
 
-def step_edges(
-    time_s: Array, moments: Moments, max_step: float, fine: float, growth: float = GROWTH, closed: float = np.inf
-) -> Array:
+def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float, growth: float = GROWTH) -> Array:
     """Return step edges: fine around each switch, growing from step to step up to `max_step`. [s]
-
-    While the press is closed they grow up to `closed`, where that is less.
 
     Examples
     --------
@@ -280,14 +273,12 @@ def step_edges(
     t, h = start, fine / 4
     spans = list(zip(switches[1::2], switches[2::2], strict=True))
     for begin, finish in [*spans, (end, end)]:
-        shut = moments.closed_s <= t and not moments.opened_s <= t
-        longest = min(max_step, closed) if shut else max_step
         while t < begin - 1e-9:
             t = min(t + h, begin)
             if begin - t < LAST_STEP * h:
                 t = begin
             edges.append(t)
-            h = min(h * growth, longest)
+            h = min(h * growth, max_step)
         if finish > t:
             inner = np.linspace(t, finish, max(1, round((finish - t) / fine)) + 1)[1:]
             edges += inner.tolist()
