@@ -1,6 +1,7 @@
 """When to open: one line out of one look ahead, or why it is not known. No store, no clock.
 
-The forecast of the live sensor says when to open so that the core's peak just reaches ``setting.core_target_C``.
+The forecast of the live sensor says when to open so that the core just reaches ``setting.core_target_C`` by the
+heat that is in the panel then: what a panel left on the hot plate still gets is not counted.
 Its bounds are those of the time at which the core reaches the target: by how much opening comes before that, while
 the heat of the outer layers still moves inwards, is taken as foreseen.
 

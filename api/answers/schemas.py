@@ -124,7 +124,7 @@ class Advice(_Answer):
         "open_now", "open_in", "too_early", "not_known", "no_target", "not_closed", "opened", "no_panel", "blocked"
     ]
     open_in_s: float | None = None
-    """Until opening lets the core's peak just reach the target; 0 for now."""
+    """Until the core reaches the target by the heat in the panel, should it be taken out; 0 for now."""
     open_earliest_s: float | None = None
     open_latest_s: float | None = None
     """Bounds of 95 %; null where they lie beyond the look ahead."""
@@ -216,7 +216,7 @@ class EstimateNow(_Answer):
     target_latest_s: float | None = None
     """Bounds of 95 %."""
     open_in_s: float | None = None
-    """When to open so that the core's peak after opening just reaches the target."""
+    """When to open so that the core just reaches the target by the heat that is in the panel then."""
     peak_C: float | None = None  # noqa: N815
     """Highest core temperature still to come if the press is opened now, or is open."""
     limit_in_s: float | None = None

@@ -17,6 +17,7 @@ from daq.printed import on_screen
 from daq.records import Array, PressState
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
+from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import believed
 from softsensor.live.kalman import KalmanFilter
@@ -39,7 +40,7 @@ COURSE_POINTS = 12
 STRIDE_S = 2.0
 """Longest step of a look ahead. [s]"""
 AFTER_S = 150.0
-"""After opening, the core's peak is looked for so long. [s]"""
+"""After the panel is taken out, the core's peak is looked for so long. [s]"""
 FLAT_K = 0.05
 """A core this far below its highest has passed its peak. [K]"""
 NOTICE_S = 20.0
@@ -82,9 +83,9 @@ class Forecast:
     target_latest_s: float = math.nan
     """Upper bound of 95 % of it. [s]"""
     open_in_s: float = math.nan
-    """When to open so that the core's peak after opening just reaches the target."""
+    """When to open so that the core just reaches the target by the heat that is in the panel then."""
     peak_C: float = math.nan  # noqa: N815
-    """Highest core temperature still to come if the press is opened now, or is open."""
+    """Highest core temperature still to come if the panel is taken out now."""
     limit_in_s: float = math.nan
     """Until the core's upper bound passes the limit."""
     forecast_age_s: float = math.nan
@@ -133,9 +134,7 @@ def look_ahead(
     filters = believed(run.filters, run.mixture)
     peak = _peak(filters, now, now, outside)
     if state is PressState.OPEN:
-        over = peak > wishes.limit_C
-        warning = say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
-        return Forecast(peak_C=peak, forecast_age_s=0.0, warning=warning)
+        return Forecast(peak_C=peak, forecast_age_s=0.0, warning=_warning_when_open(peak, wishes.limit_C))
     ahead, (reported, low, high), limits = _course(run, wishes, now, outside, can_be)
     until = _crossing(ahead, reported, wishes.target_C)
     found = Forecast(
@@ -152,6 +151,10 @@ def look_ahead(
         course=_thinned(np.stack([ahead, reported, low, high], axis=1)),
     )
     return replace(found, warning=_warning(found, wishes.limit_C))
+
+
+def _warning_when_open(peak: float, limit_C: float) -> Message | None:
+    return say("core-will-pass-limit", peak_C=peak, limit_C=limit_C) if peak > limit_C else None
 
 
 def _warning(found: Forecast, limit_C: float) -> Message | None:
@@ -247,7 +250,10 @@ def _opening(filters: Believed, now: float, outside: Array, target: float, until
 
 
 def _peak(filters: Believed, now: float, opening: float, outside: Array) -> float:
-    """Return the highest core temperature to be expected if the press opens at a time. [°C]"""
+    """Return the highest core temperature to be expected if the panel is taken out of the press at a time. [°C]
+
+    What it gets from the hot plate until somebody takes it is not counted: nobody knows how long that is.
+    """
     return sum(
         share * _peak_of(_bare(one, cells, opening), now, opening, outside) for one, share, cells in filters
     )
@@ -291,7 +297,7 @@ def _chain(chain: SensorChain, like: Array) -> SensorChain:
 
 
 def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
-    """Return a copy without tangents, at these temperatures of its cells."""
+    """Return a copy without tangents, at these temperatures of its cells, whose panel is then out of the press."""
     model = one.linearised.model
     s, factors = model.state, model.factors
     chain = _chain(model.chain, np.empty((len(model.chain.true), 2)))
@@ -301,6 +307,7 @@ def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
         s=s.s[:0].copy(), s_before=s.s_before[:0].copy(), s_done=s.s_done[:, :0].copy(),
     )  # fmt: skip
     bare = model._replace(
+        stack=_in_air(model.stack),
         tangents=_without(model.tangents),
         d_boundary=model.d_boundary[:, :0].copy(),
         factors=factors._replace(
@@ -311,8 +318,23 @@ def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
         state=state,
         chain=chain,
     )
-    timing = one.timing._replace(longest=STRIDE_S, opened=min(one.timing.opened, opening))
+    opened = min(one.timing.opened, opening)
+    out = max(opened, opening) + 0.5 * (OPENING_RAMP_S + HANDLING_RAMP_S)
+    timing = one.timing._replace(longest=STRIDE_S, opened=opened, removed=min(one.timing.removed, out))
     return replace(one, linearised=replace(one.linearised, model=bare), timing=timing)
+
+
+def _in_air(stack: kernels.Stack) -> kernels.Stack:
+    """Return a stack whose panel, if it has one, loses heat on both sides by its film while out of the press."""
+    panel = np.flatnonzero(stack.wet)
+    below, above = (np.flatnonzero(side) for side in (stack.interface <= panel[:1], stack.interface > panel[-1:]))
+    if not (len(below) and len(above)):
+        return stack
+    bottom, top = below[np.argmax(stack.interface[below])], above[np.argmin(stack.interface[above])]
+    contact = stack.contact.copy()
+    film = max(contact[bottom, 1, 2], contact[top, 1, 1])
+    contact[bottom, 0], contact[top, 0] = (0.0, 0.0, film), (0.0, film, 0.0)
+    return stack._replace(contact=contact)
 
 
 def _without(tangents: kernels.Tangents) -> kernels.Tangents:

@@ -60,25 +60,52 @@ def test_the_target_is_reached_when_the_sensor_said_it_would_be(pressing, follow
     assert np.mean([t + o.target_earliest_s <= reached <= t + o.target_latest_s for t, o in foreseen]) > 0.9
 
 
-def test_the_peak_after_opening_is_foreseen_at_the_opening(pressing, followed):
+def peak_out_of_the_press(pressing, opened):
+    """Return the core's peak in a panel that leaves the press when it opens, and loses heat to air on both sides.
+
+    The virtual press has a panel in no air at all, and one that its lower plate no longer warms, with air above:
+    what air below takes is what air above does.
+    """
+    out = replace(pressing, opened=opened, end=opened + 150.0)
+    lifted = replace(out, outside=replace(out.outside, lift=0.0, lift_from=opened))
+    insulated, above = (
+        solve_places(one, {}, 0.0, "fast").core(np.arange(opened, out.end, 0.5)).max()
+        for one in (replace(out, removed=opened + 0.2), lifted)
+    )
+    assert insulated > above
+    return 2.0 * above - insulated
+
+
+def test_the_peak_of_a_panel_taken_out_is_foreseen_at_the_opening(pressing, followed):
     run, truth = pressing
-    foreseen = next(o for t, _, _, _, o in followed if t > truth.moments.opened_s - 1.0)
-    later = truth.core_C[run.time_s > truth.moments.opened_s]
-    assert later.max() > 60.0
-    assert foreseen.peak_C > 60.0
-    assert foreseen.peak_C == pytest.approx(later.max(), abs=4.0)
+    opened = truth.moments.opened_s
+    foreseen = next(o for t, _, _, _, o in followed if t > opened - 1.0)
+    out = peak_out_of_the_press(truth.pressing, opened)
+    assert out > 55.0
+    assert out < truth.core_C[run.time_s > opened].max() - 3.0, "the hot plate would have warmed it further"
+    assert foreseen.peak_C == pytest.approx(out, abs=4.0)
 
 
-def test_opening_when_advised_lets_the_core_peak_at_the_target(pressing):
+def test_opening_when_advised_lets_the_core_of_a_panel_taken_out_peak_at_the_target(pressing):
     _, truth = pressing
     advised = next(
         t + o.open_in_s
         for t, state, _, _, o in follow(pressing[0], target=70.0)
         if state is PressState.CLOSED and t > 60
     )
-    early = replace(truth.pressing, opened=advised, end=advised + 150.0)
-    core = solve_places(early, {}, 0.0, "fast").core(np.arange(0.0, early.end, 0.5))
-    assert core.max() == pytest.approx(70.0, abs=3.0)
+    assert peak_out_of_the_press(truth.pressing, advised) == pytest.approx(70.0, abs=3.0)
+
+
+def test_no_panel_is_let_go_for_the_heat_it_would_get_from_the_plate_afterwards(pressing):
+    """Three seconds in the closed press do not warm a core to 35 °C, one and a half minutes on the plate do."""
+    _, truth = pressing
+    closed = truth.moments.closed_s
+    o = next(o for t, _, _, _, o in follow(pressing[0], target=TARGET) if t > closed + 3.0)
+    stays = replace(truth.pressing, opened=closed + 3.0, end=closed + 150.0)
+    assert solve_places(stays, {}, 0.0, "fast").core(np.arange(0.0, stays.end, 0.5)).max() > TARGET
+    assert peak_out_of_the_press(truth.pressing, closed + 3.0) < TARGET
+    assert o.peak_C < TARGET
+    assert o.open_in_s > 2.0
 
 
 def test_a_limit_is_warned_of_before_it_is_passed(pressing, followed):

@@ -37,7 +37,7 @@ def list_presses(store: StoreDep, presses: PressesDep) -> PressList:
 
 @router.get("/advice", operation_id="list_advice", summary="When to open each press, and how sure that is")
 def list_advice(store: StoreDep, presses: PressesDep) -> AdviceList:
-    """Return when to open each press so that the core's peak just reaches its target, or why nobody knows."""
+    """Return when to open each press so that its panel holds the heat its core needs, or why nobody knows."""
     items, now = [], utc_now()
     for name in presses:
         present = present_of(store, name, now)
