@@ -2,8 +2,7 @@
 
 The forecast of the live sensor says when to open so that the core just reaches ``setting.core_target_C`` by the
 heat that is in the panel then: what a panel left on the hot plate still gets is not counted.
-Its bounds are those of the time at which the core reaches the target: by how much opening comes before that, while
-the heat of the outer layers still moves inwards, is taken as foreseen.
+Its bounds are those of 95 %: by how far that peak is known.
 
 Where a resin file sets limits, they alone decide: the press may open from when on all of them hold together with
 the wanted probability, as the live sensor foresees it. ``open_now`` is its word at the newest scan.
@@ -78,20 +77,17 @@ def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  
     if age_s > SILENT_S:
         why = say("advice-old", seconds=age_s)
         return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
-    at, middle = _from_now(estimate.open_in_s, estimate), _from_now(estimate.target_in_s, estimate)
-    if at is None or middle is None:
+    foreseen = (estimate.open_in_s, estimate.open_earliest_s, estimate.open_latest_s)
+    at, low, high = (_from_now(seconds, estimate) for seconds in foreseen)
+    if at is None:
         return _known("too_early", say("advice-too-early"), target_C, age_s=age_s)
-    earliest, latest = (_from_now(t, estimate) for t in (estimate.target_earliest_s, estimate.target_latest_s))
-    before = None if earliest is None else at - (middle - earliest)
-    after = None if latest is None else at + (latest - middle)
     bounds = {
         "open_in_s": round(at, 1),
-        "open_earliest_s": None if before is None else round(max(before, 0.0), 1),
-        "open_latest_s": None if after is None else round(max(after, 0.0), 1),
+        "open_earliest_s": None if low is None else round(low, 1),
+        "open_latest_s": None if high is None else round(high, 1),
     }
     if at <= AT_ONCE_S:
         return _known("open_now", say("advice-open-now"), target_C, age_s=age_s, **bounds)
-    low, high = bounds["open_earliest_s"], bounds["open_latest_s"]
     if low is None:
         message = say("advice-open-in", seconds=at)
     elif high is None:

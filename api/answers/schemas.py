@@ -127,7 +127,7 @@ class Advice(_Answer):
     """Until the core reaches the target by the heat in the panel, should it be taken out; 0 for now."""
     open_earliest_s: float | None = None
     open_latest_s: float | None = None
-    """Bounds of 95 %; null where they lie beyond the look ahead."""
+    """Bounds of 95 %; null where they are not known, the latest also where it is now."""
     blocking: str | None = None
     """The limit of the resin file that stands most in the way, where none of the look ahead meets all of them."""
     target_C: float | None = None  # noqa: N815
@@ -217,8 +217,11 @@ class EstimateNow(_Answer):
     """Bounds of 95 %."""
     open_in_s: float | None = None
     """When to open so that the core just reaches the target by the heat that is in the panel then."""
+    open_earliest_s: float | None = None
+    open_latest_s: float | None = None
+    """Bounds of 95 %."""
     peak_C: float | None = None  # noqa: N815
-    """Highest core temperature still to come if the press is opened now, or is open."""
+    """Highest core temperature still to come if the panel is taken out now."""
     limit_in_s: float | None = None
     """Until the core's upper bound passes `setting.core_limit_C`."""
     warning: str = ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,6 +84,10 @@ class Forecast:
     """Upper bound of 95 % of it. [s]"""
     open_in_s: float = math.nan
     """When to open so that the core just reaches the target by the heat that is in the panel then."""
+    open_earliest_s: float = math.nan
+    """Lower bound of 95 % of that. [s]"""
+    open_latest_s: float = math.nan
+    """Upper bound of 95 % of it, not looked for where it is 0. [s]"""
     peak_C: float = math.nan  # noqa: N815
     """Highest core temperature still to come if the panel is taken out now."""
     limit_in_s: float = math.nan
@@ -107,8 +111,8 @@ class Forecast:
     def later(self, seconds: float) -> Forecast:
         """Return the same forecast some seconds on."""
         names = (
-            "target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "limit_in_s",
-            "limits_in_s", "limits_likely_in_s",
+            "target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "open_earliest_s", "open_latest_s",
+            "limit_in_s", "limits_in_s", "limits_likely_in_s",
         )  # fmt: skip
         left = {name: getattr(self, name) - seconds for name in names}
         ahead = {name: v if v != v else max(v, 0.0) for name, v in left.items()}
@@ -132,16 +136,23 @@ def look_ahead(
     if run.mixture is None:
         return Forecast()
     filters = believed(run.filters, run.mixture)
-    peak = _peak(filters, now, now, outside)
+    peak, _ = _peak(filters, now, now, outside)
     if state is PressState.OPEN:
         return Forecast(peak_C=peak, forecast_age_s=0.0, warning=_warning_when_open(peak, wishes.limit_C))
     ahead, (reported, low, high), limits = _course(run, wishes, now, outside, can_be)
     until = _crossing(ahead, reported, wishes.target_C)
+    opens = earliest = 0.0 if peak >= wishes.target_C else math.nan
+    latest = math.nan
+    out = None if opens == 0.0 else _opening(filters, now, outside, wishes.target_C, (peak, until))
+    if out is not None:
+        opens, (earliest, latest) = out.waited_s, _opening_band(run, out, now, outside, wishes.target_C)
     found = Forecast(
         target_in_s=until,
         target_earliest_s=_crossing(ahead, high, wishes.target_C),
         target_latest_s=_crossing(ahead, low, wishes.target_C),
-        open_in_s=0.0 if peak >= wishes.target_C else _opening(filters, now, outside, wishes.target_C, until),
+        open_in_s=opens,
+        open_earliest_s=earliest,
+        open_latest_s=latest,
         peak_C=peak,
         limit_in_s=_crossing(ahead, high, wishes.limit_C),
         forecast_age_s=0.0,
@@ -235,44 +246,82 @@ def _crossing(ahead: Array, course: Array, level: float) -> float:
     return float(ahead[k - 1] + share * (ahead[k] - ahead[k - 1]))
 
 
-def _opening(filters: Believed, now: float, outside: Array, target: float, until: float) -> float:
-    """Return how long to stay closed so that the peak after opening, too low by now, reaches the target. [s]"""
-    if not math.isfinite(until):
-        return math.nan
-    early, late = 0.0, until
+class _LetOut(NamedTuple):
+    """A panel taken out of the press."""
+
+    waited_s: float
+    """How long from now the press stays closed before."""
+    peak_s: float
+    """When its core is hottest."""
+    rise: float
+    """By how much a second more in the closed press raises that. [K/s]"""
+
+
+def _opening(
+    filters: Believed, now: float, outside: Array, target: float, ends: tuple[float, float]
+) -> _LetOut | None:
+    """Return when a panel must come out so that its peak, too low by now, reaches the target; None: not known.
+
+    `ends`: the peak of one taken out now, and how long until its core is at the target if it stays. [°C, s]
+    """
+    early, (below, late) = 0.0, ends
+    if not math.isfinite(late):
+        return None
+    above, at = _peak(filters, now, now + late, outside)
+    if not below < target <= above:  # what is believed of single filters is not quite the mixture
+        return None
+    waited, rise, straight = late, (above - below) / late, True
     while late - early > 0.5:
-        middle = 0.5 * (early + late)
-        if _peak(filters, now, now + middle, outside) >= target:
-            late = middle
-        else:
-            early = middle
-    return late
+        rise = (above - below) / (late - early)
+        waited = early + (target - below) / rise if straight else 0.5 * (early + late)
+        peak, at = _peak(filters, now, now + waited, outside)
+        if abs(peak - target) < FLAT_K:
+            break
+        early, below, late, above = (waited, peak, late, above) if peak < target else (early, below, waited, peak)
+        straight = not straight
+    return _LetOut(waited, at, rise)
 
 
-def _peak(filters: Believed, now: float, opening: float, outside: Array) -> float:
-    """Return the highest core temperature to be expected if the panel is taken out of the press at a time. [°C]
+def _opening_band(run: Pass, out: _LetOut, now: float, outside: Array, target: float) -> tuple[float, float]:
+    """Return bounds of 95 % of when to open, about the time expected. [s from now]
+
+    By how far the peak's own band is off, over what a second more in the closed press adds to it.
+    """
+    platens = np.stack([outside, outside])
+    copies = [_taken_out(_copy(one), now + out.waited_s) for one in run.filters]
+    start = copies[0].core_C - run.rise
+    for copy in copies:
+        _march(copy, now, out.peak_s, platens)
+    mixture = mix(copies, run.margin(copies[0].core_C - start))
+    sooner, later = ((t - target) / out.rise for t in (mixture.high_C, mixture.low_C))
+    return max(out.waited_s - max(sooner, 0.0), 0.0), out.waited_s - min(later, 0.0)
+
+
+def _peak(filters: Believed, now: float, opening: float, outside: Array) -> tuple[float, float]:
+    """Return the highest core to be expected if the panel is taken out of the press at a time, and when. [°C, s]
 
     What it gets from the hot plate until somebody takes it is not counted: nobody knows how long that is.
     """
-    return sum(
-        share * _peak_of(_bare(one, cells, opening), now, opening, outside) for one, share, cells in filters
-    )
+    peaks = [_peak_of(_bare(one, cells, opening), now, opening, outside) for one, _, cells in filters]
+    shares = [share for _, share, _ in filters]
+    return sum(share * peak for share, (peak, _) in zip(shares, peaks, strict=True)), peaks[np.argmax(shares)][1]
 
 
-def _peak_of(bare: KalmanFilter, now: float, opening: float, outside: Array) -> float:
-    """Return the highest core temperature still to come by one filter. [°C]"""
+def _peak_of(bare: KalmanFilter, now: float, opening: float, outside: Array) -> tuple[float, float]:
+    """Return the highest core still to come by one filter, and when. [°C, s]"""
     platens = np.stack([outside, outside])
     if opening > now:
         _march(bare, now, opening, platens)
-    highest, at = bare.core_C, opening
+    highest, highest_at, at = bare.core_C, opening, opening
     while at < opening + AFTER_S:
         _march(bare, at, at + EVERY_S, platens)
         at += EVERY_S
         core = bare.core_C
         if core < highest - FLAT_K:
             break
-        highest = max(highest, core)
-    return highest
+        if core > highest:
+            highest, highest_at = core, at
+    return highest, highest_at
 
 
 def _copy(one: KalmanFilter) -> KalmanFilter:
@@ -307,7 +356,6 @@ def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
         s=s.s[:0].copy(), s_before=s.s_before[:0].copy(), s_done=s.s_done[:, :0].copy(),
     )  # fmt: skip
     bare = model._replace(
-        stack=_in_air(model.stack),
         tangents=_without(model.tangents),
         d_boundary=model.d_boundary[:, :0].copy(),
         factors=factors._replace(
@@ -318,10 +366,18 @@ def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
         state=state,
         chain=chain,
     )
+    return _taken_out(replace(one, linearised=replace(one.linearised, model=bare)), opening)
+
+
+def _taken_out(one: KalmanFilter, opening: float) -> KalmanFilter:
+    """Return a filter of a press that opens at a time, unless it is open, and whose panel is then taken out."""
     opened = min(one.timing.opened, opening)
     out = max(opened, opening) + 0.5 * (OPENING_RAMP_S + HANDLING_RAMP_S)
     timing = one.timing._replace(longest=STRIDE_S, opened=opened, removed=min(one.timing.removed, out))
-    return replace(one, linearised=replace(one.linearised, model=bare), timing=timing)
+    model = one.linearised.model
+    return replace(
+        one, linearised=replace(one.linearised, model=model._replace(stack=_in_air(model.stack))), timing=timing
+    )
 
 
 def _in_air(stack: kernels.Stack) -> kernels.Stack:

@@ -20,10 +20,10 @@ def estimate(state: str = "closed", **beside: Any) -> EstimateNow:
 
 def ahead(**changed: float | None) -> dict[str, float | None]:
     forecast: dict[str, float | None] = {"open_in_s": 11.0, "target_in_s": 26.0, "forecast_age_s": 1.0}
-    return {**forecast, "target_earliest_s": 23.0, "target_latest_s": 30.0, **changed}
+    return {**forecast, "open_earliest_s": 8.0, "open_latest_s": 15.0, **changed}
 
 
-def test_the_opening_has_the_width_of_the_time_at_which_the_target_is_reached():
+def test_the_opening_has_its_bounds():
     advice = advice_of(estimate(**ahead()), 40.0)
     assert (advice.verdict, advice.open_in_s, advice.open_earliest_s, advice.open_latest_s) == (
         "open_in",
@@ -40,7 +40,7 @@ def test_a_panel_with_enough_heat_is_to_be_opened_now_and_nothing_else_is_said()
 
 
 def test_without_a_latest_moment_none_is_made_up():
-    advice = advice_of(estimate(**ahead(target_latest_s=None)), 40.0)
+    advice = advice_of(estimate(**ahead(open_latest_s=None)), 40.0)
     assert advice.open_latest_s is None
     assert advice.sentence == "open in 11 s (8 or later)"
 

@@ -192,7 +192,7 @@ def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
 @pytest.mark.campaign
 @pytest.mark.parametrize("effect", edition(["vapour_convection"], ["vapour_convection", "edge_loss"]))
 def test_the_nightly_job_names_what_is_hidden_and_lowers_the_live_core_error(tmp_path, effect):
-    """The live sensor reckons with steam that nobody has diagnosed, so that naming it no longer halves the error."""
+    """The live sensor reckons with steam that nobody has diagnosed, so naming it no longer halves the error."""
     command = [sys.executable, "-m", "api", "demo", "--speed", edition("10", "5"), "--hide", effect]
     command += ["--pressings", "14", "--port", "0", "--data", str(tmp_path / "data")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

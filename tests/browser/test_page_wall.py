@@ -16,6 +16,8 @@ from tests.browser.conftest import ACROSS, CHANNELS, comes
 
 AHEAD = {
     "open_in_s": 11.0,
+    "open_earliest_s": 8.0,
+    "open_latest_s": 15.0,
     "target_in_s": 26.0,
     "target_earliest_s": 23.0,
     "target_latest_s": 30.0,

@@ -96,6 +96,33 @@ def test_opening_when_advised_lets_the_core_of_a_panel_taken_out_peak_at_the_tar
     assert peak_out_of_the_press(truth.pressing, advised) == pytest.approx(70.0, abs=3.0)
 
 
+def test_the_moment_to_open_lies_within_its_bounds_which_are_narrower_than_those_of_a_press_that_stays_closed(
+    pressing,
+):
+    _, truth = pressing
+    closed, target = truth.moments.closed_s, 60.0
+    moments = np.arange(closed + 20.0, closed + 100.0, 1.0)
+    peaks = [peak_out_of_the_press(truth.pressing, m) for m in moments]
+    right = float(np.interp(target, peaks, moments))
+    foreseen = [
+        (t, o)
+        for t, state, _, _, o in follow(pressing[0], target=target)
+        if state is PressState.CLOSED and closed + 10.0 < t < right - 5.0
+    ]
+    assert len(foreseen) > 15
+    assert np.mean([t + o.open_earliest_s <= right <= t + o.open_latest_s for t, o in foreseen]) > 0.9
+    for _, o in foreseen:
+        assert o.open_earliest_s <= o.open_in_s <= o.open_latest_s
+        assert o.open_latest_s - o.open_earliest_s < 0.5 * (o.target_latest_s - o.target_earliest_s)
+    print(
+        right,
+        [
+            (t, o.open_earliest_s, o.open_in_s, o.open_latest_s, o.target_latest_s - o.target_earliest_s)
+            for t, o in foreseen
+        ][::4],
+    )
+
+
 def test_no_panel_is_let_go_for_the_heat_it_would_get_from_the_plate_afterwards(pressing):
     """Three seconds in the closed press do not warm a core to 35 °C, one and a half minutes on the plate do."""
     _, truth = pressing
