@@ -435,8 +435,10 @@ def test_a_calibration_that_changes_is_in_force_between_runs_and_kept_with_them(
             made.config.read_text().replace('name = "upper"', 'name = "upper"\ncalibration = "upper.toml"')
         )
 
-        def newest():
-            return store.scans_after("lab", store.newest_scan_number("lab") - 1).scans[-1].values[0]
+        def newest():  # of a busy machine single readings are missing
+            return np.nanmedian(
+                [s.values[0] for s in store.scans_after("lab", store.newest_scan_number("lab") - 5).scans]
+            )
 
         with recording(made):
             wait_until(lambda: store.newest_scan_number("lab") > 10)
