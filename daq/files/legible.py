@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from hashlib import sha256
 
 import numpy as np
@@ -50,8 +50,14 @@ def check_each_once(runs: Iterable[Run]) -> None:
     for run in runs:
         if run.name in names.values():
             raise InputError(say("run-twice", run=run.name))
-        readings = sha256(run.time_s.tobytes())
-        for name in sorted(run.columns):
-            readings.update(run.columns[name].tobytes())
-        if (other := names.setdefault(readings.digest(), run.name)) != run.name:
-            raise InputError(say("run-twice-by-readings", run=run.name, other=other))
+        names[new_readings(run, names)] = run.name
+
+
+def new_readings(run: Run, names: Mapping[bytes, str]) -> bytes:
+    """Return the digest of a run's times and readings. Raises `InputError` where a run of these names has it."""
+    readings = sha256(run.time_s.tobytes())
+    for name in sorted(run.columns):
+        readings.update(run.columns[name].tobytes())
+    if (other := names.get(readings.digest())) is not None:
+        raise InputError(say("run-twice-by-readings", run=run.name, other=other))
+    return readings.digest()

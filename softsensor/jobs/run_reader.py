@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from daq.files.legible import check_each_once
+from daq.files.legible import new_readings
 from daq.records import InputError, Run
 from daq.store import RunRecord, Store
 from daq.words import Message, say, spoken
@@ -23,6 +23,8 @@ class RunReader:
     """Runs that could not be read or hold another's readings, and the reason of each."""
     _kept: dict[str, Run] = field(default_factory=dict)
     """The newest, which every step of a judgement asks for."""
+    _held: dict[bytes, str] = field(default_factory=dict)
+    """Their names by `new_readings`."""
 
     def read(self, run: str) -> Run | None:
         """Return a run, None where it cannot be read or holds the readings of one that is kept."""
@@ -32,7 +34,7 @@ class RunReader:
             return self._kept[run]
         try:
             found = self.store.load_run(run)
-            check_each_once([*self._kept.values(), found])
+            new_readings(found, self._held)
         except InputError as error:
             self.left_out[run] = say("run-not-judged", run=run, why=spoken(error))
             self.store.log("alarm", PROCESS, self.left_out[run], self.press)
@@ -51,6 +53,6 @@ class RunReader:
                 run = self.read(record.run)
                 if run is None:
                     continue
-                self._kept[record.run] = run
+                self._kept[record.run], self._held[new_readings(run, self._held)] = run, record.run
             sound.append(record)
         return sound[::-1]
