@@ -73,6 +73,8 @@ class Guarded(Generic[F]):
         """What nobody foresaw, until a scan beyond it was taken."""
         self.kept_from: Message | None = None
         """Why the store gives or takes nothing of this press now, until it does."""
+        self._kept_again = False
+        """Whether it did not the time before either."""
         self._pending, self._journalled = Pending(self._journal), set[str]()
         self._failures = 0
         """Since a scan beyond was taken."""
@@ -99,6 +101,7 @@ class Guarded(Generic[F]):
         try:
             worked = self.follower.step(now)
         except StoreUnavailable as error:
+            self._kept_again = self.kept_from is not None
             self.kept_from, self._wait_until = spoken(error), now + AGAIN_S
             raise
         except Exception as error:  # noqa: BLE001 - one press's fault must not end the others
@@ -114,8 +117,8 @@ class Guarded(Generic[F]):
         return worked
 
     def report_kept(self) -> None:
-        """Journal, once, what keeps this press from going on while the store serves the others."""
-        if self.kept_from is not None and str(self.kept_from) not in self._journalled:
+        """Journal, once, what again keeps this press from going on while the store serves the others."""
+        if self._kept_again and self.kept_from is not None and str(self.kept_from) not in self._journalled:
             self._journalled.add(str(self.kept_from))
             self._journal(self.kept_from)
 

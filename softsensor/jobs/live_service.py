@@ -83,14 +83,14 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         ]
         notifier = Notifier()
         fitter.help_compiling()
-        _compile([press for _, press in presses], partial(_beat, store, followers, "starting"))
+        _compile([press for _, press in presses], lambda: _try_to_beat(store, followers, "starting"))
         fitter.warm_up()
         with suppress(StoreUnavailable):  # held for the moment: no reason to end
             write_journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
         notifier.ready("following the store")
         _follow(store, followers, stop, notifier)
         notifier.stopping()
-        _beat(store, followers, "stopped")
+        _try_to_beat(store, followers, "stopped")
 
 
 def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
@@ -109,19 +109,24 @@ def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
         warming.result()
 
 
-def _beat(store: Store, followers: list[Guarded[Follower]], state: str) -> None:
+def _beat(store: Store, followers: list[Guarded[Follower]], state: str) -> str:
+    """Give a sign of life; return what it says."""
+    status = _status(followers, state)
+    store.beat(store.beats_as(PROCESS), status)
+    return str(status["message"])
+
+
+def _try_to_beat(store: Store, followers: list[Guarded[Follower]], state: str) -> None:
     """Give a sign of life before or after the work, if the store takes it."""
     with suppress(StoreUnavailable):
-        store.beat(store.beats_as(PROCESS), _status(followers, state))
+        _beat(store, followers, state)
 
 
 def _follow(store: Store, followers: list[Guarded[Follower]], stop: threading.Event, notifier: Notifier) -> None:
     """Let the followers work until stopped; a store that is away is waited for."""
 
     def beat() -> None:
-        status = _status(followers, "running")
-        store.beat(store.beats_as(PROCESS), status)
-        notifier.alive(str(status["message"]))
+        notifier.alive(_beat(store, followers, "running"))
 
     trouble, beaten = "", -math.inf
     while not stop.is_set():

@@ -806,6 +806,33 @@ def test_a_fault_while_the_store_is_away_is_told_when_it_is_back(store, fitter, 
     assert alarms(store) == [OUR_FAULT]
 
 
+def test_what_the_store_refuses_a_press_alone_is_an_alarm_unless_it_passes(store, fitter, pressing):
+    sometimes = Sometimes(store)
+    recorder, guarded = Recorder(store, pressing[0]), guarded_lab(sometimes, fitter)
+    recorder.put(POISONED)
+    for away, now, wanted in (({"scans_after"}, 0.0, 0), (set(), 10.0, 0), ({"scans_after"}, 20.0, 0)):
+        sometimes.away = away
+        assert _stepped_at(guarded, now) == bool(away)
+        assert len(alarms(store)) == wanted
+    for now in (30.0, 40.0):
+        assert _stepped_at(guarded, now)
+        assert alarms(store) == ["away"]
+        assert words(guarded.problem) == "away"
+    sometimes.away = set()
+    assert not _stepped_at(guarded, 50.0)
+    assert guarded.problem is None
+
+
+def _stepped_at(guarded, now):
+    """Let a guarded press work, as `sense` does; return whether the store kept something from it."""
+    try:
+        guarded.step(now)
+    except StoreUnavailable:
+        guarded.report_kept()
+        return True
+    return False
+
+
 def test_no_scan_goes_through_the_sensor_twice_because_the_journal_was_away(store, fitter, pressing, monkeypatch):
     run, _ = pressing
     update, newest, twice = LiveSensor.update, {}, []
