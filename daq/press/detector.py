@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.press.faces import HIGH_C, LOW_C, Face, columns_of, middle
-from daq.press.moments import INSERTION_S, FaceHistory, place_moment, usual_lag
+from daq.press.moments import BREAK_K, INSERTION_S, REACH_S, FaceHistory, place_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import Wires
 from daq.records import ROOM_C, Array, EventSource, PressEvent, PressEventKind, PressState
@@ -292,7 +292,7 @@ class PressEventDetector:
             return None
         if self._state is PressState.CLOSED:
             return PressEventKind.OPENED if self._opened(now, then) else None
-        if self._closed(now, then):
+        if self._closed(now, then) or self._warms_since() is not None:
             return PressEventKind.CLOSED
         if self._state is PressState.IDLE:
             return PressEventKind.INSERTED if self._inserted(now, then) else None
@@ -360,6 +360,20 @@ class PressEventDetector:
         if not (fall > _SANK_K and fall > _SANK_RATIO * max(then.plate - then.top, 0.0) + _SANK_SPARE_K):
             return False
         return _most_fell(now.tops, then.tops)
+
+    def _warms_since(self) -> float | None:
+        """Return since when the upper face warms again after a fall too short for an opening, if it does. [s]
+
+        A face that lost its plate falls as the root of time, for as long as the panel is a half space. Where it
+        warms again sooner, the plate is there: what had ended is the heat of a resin that cures within seconds.
+        """
+        if self._state is not PressState.OPEN or not self._was_closed or self._times[0] > self._since + REACH_S:
+            return None
+        since = [row for row in self._rows if row.time >= self._since and row.top == row.top]
+        lowest = min(since, key=lambda row: row.top, default=None)
+        if lowest is None or lowest.time - self._since >= REACH_S:
+            return None
+        return lowest.time if since[-1].top - lowest.top > BREAK_K else None
 
     def _inserted(self, now: _FaceRow, then: _FaceRow) -> bool:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""
@@ -456,6 +470,9 @@ class PressEventDetector:
         return [*events, self._event(kind, moment, time_s)]
 
     def _moment(self, kind: PressEventKind, noticed: float) -> float:
+        warms_since = self._warms_since() if kind is PressEventKind.CLOSED else None
+        if warms_since is not None:
+            return warms_since
         if not self._placing:
             return noticed
         times = np.array(self._times)

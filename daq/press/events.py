@@ -4,7 +4,8 @@ The faces decide, each by the median of its sensors, so that a loose, dead or no
 
 * insertion: the lower face of a cool panel jumps on the hot lower plate while the upper face stays;
 * closing: the upper face jumps towards the hot upper plate, tens of kelvins a second;
-* opening: both faces, hot until then, start to fall at once;
+* opening: both faces, hot until then, start to fall at once; where the upper one warms again within seconds, the
+  press is closed as before, and a resin has cured;
 * removal: the lower face loses its plate and falls, or the faces are cold again.
 
 A limit switch or a pressure channel, where one is logged, goes before the temperatures
@@ -31,7 +32,7 @@ from daq.press.faces import columns_of, face_of
 from daq.press.moments import FaceHistory, Placed, insertion_moment, place_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import CLOSED, SILENT_S, closed_of
-from daq.records import Array, EventSource, Moments, PressEventKind, Run
+from daq.records import Array, EventSource, Moments, PressEvent, PressEventKind, Run
 
 __all__ = ["PressEventDetector", "columns_of", "find_moments"]
 
@@ -117,12 +118,19 @@ def _coarse(
         for event in detector.update(time_s, values):
             if event.kind is PressEventKind.INSERTED and PressEventKind.CLOSED in found:
                 return found
-            if event.kind is PressEventKind.OPENED or event.kind not in found:
-                left = event.kind is PressEventKind.REMOVED  # sure only once the sensors are cold
-                found[event.kind] = event.monotonic_s if left else event.noticed_s
+            _keep(found, event)
     if detector.left_plate_s is not None and times[-1] - detector.left_plate_s < _ENDS_LIFTED_S:
         found[PressEventKind.REMOVED] = detector.left_plate_s  # the run ends with the panel's removal
     return found
+
+
+def _keep(found: dict[PressEventKind, float], event: PressEvent) -> None:
+    """Keep when an event was noticed: the first of its kind, but the last opening, and none before a closing."""
+    if event.kind is PressEventKind.CLOSED:
+        found.pop(PressEventKind.OPENED, None)
+    if event.kind is PressEventKind.OPENED or event.kind not in found:
+        left = event.kind is PressEventKind.REMOVED  # sure only once the sensors are cold
+        found[event.kind] = event.monotonic_s if left else event.noticed_s
 
 
 def _slow_insertion(times: Array, bottom: Array, closed: float) -> float:

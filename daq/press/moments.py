@@ -64,28 +64,28 @@ _LYING_DOWN_S = (0.02,)
 """A panel comes to lie on its plate at once: one step of the grid. [s]"""
 BEFORE_S = 0.2
 """A scan so long before a moment shows what was before it: moments are placed to 0.1 s. [s]"""
-INSERTION_S, _REACH_LONG_S, _REACH_SHORT_S, _LONG_S = 14.0, 6.0, 2.5, 20.0
+INSERTION_S, _REACH_LONG_S, REACH_SHORT_S, _LONG_S = 14.0, 6.0, 2.5, 20.0
 """Rows so long before an event was noticed place it: an insertion, which is a slow rise; another where the press
 had not moved for the last, and where it had. The detector remembers no more. [s]"""
 _NEAR_PLATE_K, _BEYOND_FACE_K = 3.0, 30.0
 """The hot plate a face comes to ends below its platen by the first; with no platen read, it is hotter than the
 face ever was by the second. [K]"""
-_RISE_BREAK_K = 1.0
-"""A rise that was interrupted by so much began after it. [K]"""
+BREAK_K = 1.0
+"""A rise that was interrupted by so much began after it, and a fall ended before it. [K]"""
 _NEVER = 1e9
 """The misfit of what was not computed."""
 _UNLIKELY = 20.0
 """A lag whose misfit is larger by this is not tried: its odds are e⁻¹⁰."""
 _LAG_COST = 5.0
 """Misfit of any lag against none: odds of e⁻²·⁵, one in twelve, before its length counts against it."""
-_REACH_S = 4.0
+REACH_S = 4.0
 """How long after the ramp a face is compared: √(a t) is 0.6 mm in MDF then, so any panel is a half space. [s]"""
 
 
 @cache
 def _contact_table() -> Array:
     """Return the rise of a face towards the plate, 0 to 1: contact x ramp x time since the ramp began."""
-    time = STEP_S * np.arange(int(_REACH_S / STEP_S) + 1)
+    time = STEP_S * np.arange(int(REACH_S / STEP_S) + 1)
     edges = 2.0 / np.sqrt(np.pi) * np.sqrt(STEP_S * np.arange(len(time) + 1))
     weights = np.diff(edges)
     strength = _CONTACTS[:, None, None] * np.clip(time / _CLOSING_RAMPS_S[None, :, None], 0.0, 1.0)
@@ -179,7 +179,7 @@ def closing_moment(
 def _by_place(times: Array, onsets: Array, values: Array) -> tuple[Array, Array]:
     """Return how many rows lie so many steps after each onset, and the sum of their values (steps, onsets)."""
     place = np.rint((times[:, None] - onsets) / STEP_S).astype(int)
-    shape = (int(_REACH_S / STEP_S) + 1, len(onsets))
+    shape = (int(REACH_S / STEP_S) + 1, len(onsets))
     cell = np.ravel_multi_index((np.clip(place, 0, shape[0] - 1), np.arange(shape[1])), shape).ravel()
     counts = np.bincount(cell, minlength=shape[0] * shape[1]).astype(float)
     sums = np.bincount(cell, np.repeat(values, shape[1]), minlength=len(counts))
@@ -253,7 +253,7 @@ def insertion_moment(
 @cache
 def _kink_table(ramps: tuple[float, ...]) -> Array:
     """Return how a face departs from its trend when its flux changes: lag x ramp x time since."""
-    time = STEP_S * np.arange(int(4 * _REACH_S / STEP_S) + 1)
+    time = STEP_S * np.arange(int(4 * REACH_S / STEP_S) + 1)
     ramp = np.array(ramps)[:, None]
     shape = (time**1.5 - np.clip(time - ramp, 0.0, None) ** 1.5) / (1.5 * ramp)
     return np.stack([_lagged(shape, lag) for lag in LAGS_S])
@@ -326,7 +326,7 @@ def place_moment(
 
     Rows before `after` belong to an earlier event. [s]
     """
-    reach = _REACH_LONG_S if after < noticed - _LONG_S else _REACH_SHORT_S
+    reach = _REACH_LONG_S if after < noticed - _LONG_S else REACH_SHORT_S
     reach = INSERTION_S if kind is PressEventKind.INSERTED else reach
     near = (faces.times > noticed - reach) & (faces.times >= after)
     times, top, bottom = faces.times[near], faces.top[near], faces.bottom[near]
@@ -350,7 +350,7 @@ def _last_rise(times: Array, face: Array, noticed: float) -> int:
     """Return the row from which a face only rose: a warm hand before the insertion is no part of it."""
     lowest = math.inf
     for i in range(int(np.searchsorted(times, noticed, side="right")) - 1, -1, -1):
-        if face[i] > lowest + _RISE_BREAK_K:
+        if face[i] > lowest + BREAK_K:
             return i + 1
         lowest = min(lowest, face[i]) if face[i] == face[i] else lowest
     return 0

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from daq.press.detector import BLIND_S, CHANGE_S
 from daq.press.events import PressEventDetector
+from daq.press.moments import REACH_S
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState
 from softsensor.effects.parameters import uniform_sd
 from softsensor.live.blocks import ScanArrays
@@ -32,8 +33,9 @@ LONGEST_GAP_S, MISSED_K = 7.0, 25.0
 a gap and no closing was found, one was missed. Set by hand, 2026-11. [s, K]"""
 LATE_S = 2.0
 """Platens may be unknown for so long while a panel lies in the press for the first time. Set by hand. [s]"""
-REOPENED_S = 3.0
-"""A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s] By hand."""
+REOPENED_S = REACH_S
+"""A press open for less than this has stayed closed: a bouncing switch, steam let out, or a fall that was no
+opening (`PressEventDetector`). [s]"""
 NOTICED_S = 2.0
 """After so long on the hot plate a panel is noticed, or its sensors came late. [s] By hand."""
 OTHER_K = 40.0

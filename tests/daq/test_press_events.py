@@ -162,6 +162,26 @@ def one_run(rate_hz=10.0, seed=42, **plan):
     return make_campaign(seed, 1, None, Plan(rate_hz=rate_hz, **plan))[0]
 
 
+@pytest.mark.parametrize("at_s", [4.0, 6.0])
+@pytest.mark.parametrize("rate_hz", [10.0, 2.0])
+def test_a_resin_that_has_cured_within_seconds_does_not_open_the_press(rate_hz, at_s):
+    """Its heat lifts both faces, and they fall by kelvins as it ends."""
+    plan = Plan(rate_hz=rate_hz, closed_column=False)
+    for run, truth in make_campaign(12, 3, None, plan):
+        since = (run.time_s - truth.moments.closed_s - at_s) / 0.8
+        bump = {name: run.columns[name] + 12.0 * np.exp(-(since**2)) for name in run.columns if name in FACES}
+        cured = Run(run.name, run.header, run.time_s, {**run.columns, **bump})
+        events = replay(cured)
+        assert [e.kind.value for e in events] in (IN_ORDER, [*IN_ORDER, "closed", "opened"])
+        assert events[-1].monotonic_s == pytest.approx(truth.moments.opened_s, abs=0.5 / rate_hz)
+        found = find_moments(cured, PRESS)
+        assert found.closed_s == pytest.approx(truth.moments.closed_s, abs=0.5 / rate_hz)
+        assert found.opened_s == pytest.approx(truth.moments.opened_s, abs=0.5 / rate_hz)
+        pressed = cured.time_s < truth.moments.opened_s - 1.0
+        cut = Run(run.name, run.header, run.time_s[pressed], {n: v[pressed] for n, v in cured.columns.items()})
+        assert math.isnan(find_moments(cut, PRESS).opened_s)
+
+
 def test_a_limit_switch_goes_before_the_temperatures():
     run, _ = one_run(closed_column=True)
     late = Run("late", {}, run.time_s, {**run.columns, "closed": np.roll(run.columns["closed"], 12)})
