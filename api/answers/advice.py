@@ -4,8 +4,9 @@ The forecast of the live sensor says when to open so that the core just reaches 
 heat that is in the panel then: what a panel left on the hot plate still gets is not counted.
 Its bounds are those of 95 %: by how far that peak is known.
 
-Where a resin file sets limits, they alone decide: the press may open from when on all of them hold together with
-the wanted probability, as the live sensor foresees it. ``open_now`` is its word at the newest scan.
+Where a resin file sets limits, they alone decide, whatever is known of cure and steam: the press may open from
+when on all of them hold together with the wanted probability, as the live sensor foresees it. ``open_now`` is its
+word at the newest scan. Bounds are those of 95 % of the moment at which that word will come.
 
 Times count from now: the estimate's age is taken off. An estimate that is not of now gives no advice.
 """
@@ -46,7 +47,8 @@ def advice_of(estimate: EstimateNow | None, target_C: float | None, opened_s: fl
         return _known("not_known", say("advice-not-known", why=why), target_C)
     if estimate.state != "closed":
         return _of_open_press(estimate, target_C, opened_s)
-    return _of_closed_press(estimate, target_C) if estimate.cure_low is None else _of_limits(estimate, target_C)
+    limited = estimate.cure_low is not None if estimate.limited is None else estimate.limited
+    return _of_limits(estimate, target_C) if limited else _of_closed_press(estimate, target_C)
 
 
 def _of_open_press(estimate: EstimateNow, target_C: float | None, opened_s: float) -> Advice:  # noqa: N803
@@ -81,20 +83,10 @@ def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  
     at, low, high = (_from_now(seconds, estimate) for seconds in foreseen)
     if at is None:
         return _known("too_early", say("advice-too-early"), target_C, age_s=age_s)
-    bounds = {
-        "open_in_s": round(at, 1),
-        "open_earliest_s": None if low is None else round(low, 1),
-        "open_latest_s": None if high is None else round(high, 1),
-    }
-    if at <= AT_ONCE_S:
-        return _known("open_now", say("advice-open-now"), target_C, age_s=age_s, **bounds)
-    if low is None:
-        message = say("advice-open-in", seconds=at)
-    elif high is None:
-        message = say("advice-open-in-at-least", seconds=at, low=low)
-    else:
-        message = say("advice-open-in-between", seconds=at, low=low, high=high)
-    return _known("open_in", message, target_C, age_s=age_s, **bounds)
+    if at > AT_ONCE_S:
+        return _open_in(at, (low, high), target_C, age_s)
+    now = {"open_in_s": round(at, 1), **_rounded(low, high)}
+    return _known("open_now", say("advice-open-now"), target_C, age_s=age_s, **now)
 
 
 def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803
@@ -105,13 +97,40 @@ def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa
     if age_s is None or age_s > SILENT_S:
         why = say("advice-no-look-ahead") if age_s is None else say("advice-old", seconds=age_s)
         return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
-    if (foreseen := _from_now(estimate.limits_in_s, estimate)) is not None:
-        at = max(foreseen, AT_ONCE_S)  # not yet, or the newest scan would show it
-        return _known("open_in", say("advice-open-in", seconds=at), target_C, age_s=age_s, open_in_s=round(at, 1))
+    foreseen = (estimate.limits_in_s, estimate.limits_earliest_s, estimate.limits_latest_s)
+    at, low, high = (_from_now(seconds, estimate) for seconds in foreseen)
+    if at is not None:
+        at = max(at, AT_ONCE_S)  # not yet, or the newest scan would show it
+        return _open_in(at, (low, None if high is None else max(high, at)), target_C, age_s)
     if not estimate.limits_blocking:
-        return _known("not_known", say("advice-not-known", why=say("advice-no-limit")), target_C, age_s=age_s)
+        return _known("not_known", say("advice-not-known", why=say("advice-no-look-ahead")), target_C, age_s=age_s)
     message = say("advice-blocked", limit=estimate.limits_blocking)
     return _known("blocked", message, target_C, age_s=age_s, blocking=estimate.limits_blocking)
+
+
+def _open_in(
+    at: float,
+    bounds: tuple[float | None, float | None],
+    target_C: float | None,  # noqa: N803
+    age_s: float,
+) -> Advice:
+    """Return that the press may open some seconds from now, with what is known of the bounds of that."""
+    low, high = bounds
+    whole = {"seconds": math.ceil(at)}  # nobody opens too early by a rounded number, and none is 0
+    if low is None:
+        message = say("advice-open-in", **whole)
+    elif high is None:
+        message = say("advice-open-in-at-least", **whole, low=math.floor(low))
+    else:
+        message = say("advice-open-in-between", **whole, low=math.floor(low), high=math.ceil(high))
+    return _known("open_in", message, target_C, age_s=age_s, open_in_s=round(at, 1), **_rounded(low, high))
+
+
+def _rounded(low: float | None, high: float | None) -> dict[str, float | None]:
+    return {
+        "open_earliest_s": None if low is None else round(low, 1),
+        "open_latest_s": None if high is None else round(high, 1),
+    }
 
 
 def _known(verdict: str, message: Message, target_C: float | None, **numbers: float | str | None) -> Advice:  # noqa: N803

@@ -42,7 +42,7 @@ TOLD_HERE = {"age_s", "valid_until_utc", "open_now", "advice"}
 """What of an estimate depends on when it is asked for."""
 BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__) - TOLD_HERE
 """What the sensor stores beside an estimate and the API hands on."""
-BESIDE_INVALID = {"suspected", "reason_arguments", "left_out"}
+BESIDE_INVALID = {"suspected", "reason_arguments", "left_out", "limited"}
 """What of it stands beside an estimate that is not valid: forecast, profile and heat rest on that estimate."""
 
 KEPT_RUNS = 64

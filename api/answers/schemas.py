@@ -124,7 +124,8 @@ class Advice(_Answer):
         "open_now", "open_in", "too_early", "not_known", "no_target", "not_closed", "opened", "no_panel", "blocked"
     ]
     open_in_s: float | None = None
-    """Until the core reaches the target by the heat in the panel, should it be taken out; 0 for now."""
+    """Until the core reaches the target by the heat in the panel, should it be taken out, or until every limit of
+    the resin file holds; 0 for now."""
     open_earliest_s: float | None = None
     open_latest_s: float | None = None
     """Bounds of 95 %; null where they are not known, the latest also where it is now."""
@@ -245,8 +246,14 @@ class EstimateNow(_Answer):
     open_now: bool = False
     """Whether the press is closed and every limit of the resin file holds with the wanted probability: ready for a
     relay, false where anything is not known, not valid or further than 5 s from this computer's clock."""
+    limited: bool | None = None
+    """Whether the resin file has a limit: then limits alone say when to open, and no target of the core. Null
+    without a resin file, and where a live sensor of an older version speaks."""
     limits_in_s: float | None = None
     """From when on every limit of the resin file holds, if the press stays closed."""
+    limits_earliest_s: float | None = None
+    limits_latest_s: float | None = None
+    """Bounds of 95 % of when that will be known."""
     limits_likely_in_s: float | None = None
     """From when on that is likelier than not."""
     limits_blocking: str = ""

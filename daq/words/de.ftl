@@ -1607,7 +1607,6 @@ advice-blocked = { $limit ->
        *[sudden_change] in der Presse hat sich etwas geändert: wie weit die Flächen gehärtet sind, ist nicht bekannt
     }
 advice-estimate-old = Stand vor { SPAN($seconds) }
-advice-no-limit = die Harzdatei hat keine Grenze
 advice-no-look-ahead = der Softsensor hat noch keine Vorhersage
 advice-no-panel = keine Platte in der Presse
 advice-no-target = kein Kernziel gesetzt
@@ -2628,6 +2627,8 @@ page-suspected = Vermutete Ursache
 page-suspected-another-panel = eine andere Platte, als die Kopfdaten sagen
 page-suspected-sudden-change = eine plötzliche Änderung an Presse oder Fühler
 page-target = Ziel
+page-target-not-deciding = { NUMBER($target, maximumFractionDigits: 0) } °C, zählt nicht: Es entscheiden die Grenzen der Harzdatei
+page-target-value = { NUMBER($target, maximumFractionDigits: 0) } °C
 page-theme = Hell oder dunkel
 page-thickness = Dicke
 page-time-axis = Zeit [s]

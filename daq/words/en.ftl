@@ -1597,7 +1597,6 @@ advice-blocked = { $limit ->
        *[sudden_change] something has changed in the press: the cure of the faces so far is not known
     }
 advice-estimate-old = as of { SPAN($seconds) } ago
-advice-no-limit = the resin file has no limit
 advice-no-look-ahead = the live sensor has no forecast yet
 advice-no-panel = no panel in the press
 advice-no-target = no core target set
@@ -2615,6 +2614,8 @@ page-suspected = Suspected cause
 page-suspected-another-panel = another panel than in the header
 page-suspected-sudden-change = a sudden change at the press or a sensor
 page-target = Target
+page-target-not-deciding = { NUMBER($target, maximumFractionDigits: 0) } °C, which does not count: the limits of the resin file decide
+page-target-value = { NUMBER($target, maximumFractionDigits: 0) } °C
 page-theme = Light or dark
 page-thickness = Thickness
 page-time-axis = Time [s]

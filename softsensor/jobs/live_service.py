@@ -465,6 +465,8 @@ def _details(sensor: LiveSensor, estimate: Estimate) -> dict[str, Any]:
     found: dict[str, Any] = {"suspected": estimate.suspected} if estimate.suspected else {}
     if left_out := sensor.left_out:
         found["left_out"] = {column: round(kelvin, 1) for column, kelvin in left_out.items()}
+    if sensor.limited is not None:
+        found["limited"] = sensor.limited
     if estimate.leave is not None:
         found |= _leaving(estimate.leave, open_now=estimate.open_now)
     if estimate.invalid is not None:

@@ -26,7 +26,7 @@ from softsensor.live.march_steps import SensorChain, march_span
 from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
 from softsensor.live.possible import Possible
-from softsensor.opening.limits import Broken, Opening, opening
+from softsensor.opening.limits import NOTHING_FORESEEN, Broken, Opening, opening, surely_known
 
 Believed = Sequence[tuple[KalmanFilter, float, Array]]
 """Filters with their shares, and the cells' temperatures they expect (`live.inside.believed`)."""
@@ -96,6 +96,10 @@ class Forecast:
     """How long ago this was looked for; the times above are counted from now."""
     limits_in_s: float = math.nan
     """From when on every limit of the resin file holds with the wanted probability, if the press stays closed."""
+    limits_earliest_s: float = math.nan
+    """Lower bound of 95 % of when that will be known. [s]"""
+    limits_latest_s: float = math.nan
+    """Upper bound of 95 % of it; NaN where it is not met. [s]"""
     limits_likely_in_s: float = math.nan
     """From when on that is likelier than not."""
     limits_blocking: str = ""
@@ -112,7 +116,8 @@ class Forecast:
         """Return the same forecast some seconds on."""
         names = (
             "target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "open_earliest_s", "open_latest_s",
-            "limit_in_s", "limits_in_s", "limits_likely_in_s",
+            "limit_in_s", "limits_in_s", "limits_earliest_s",
+            "limits_latest_s", "limits_likely_in_s",
         )  # fmt: skip
         left = {name: getattr(self, name) - seconds for name in names}
         ahead = {name: v if v != v else max(v, 0.0) for name, v in left.items()}
@@ -157,6 +162,8 @@ def look_ahead(
         limit_in_s=_crossing(ahead, high, wishes.limit_C),
         forecast_age_s=0.0,
         limits_in_s=limits.in_s,
+        limits_earliest_s=limits.earliest_s,
+        limits_latest_s=limits.latest_s,
         limits_likely_in_s=limits.likely_in_s,
         limits_blocking=limits.blocking,
         course=_thinned(np.stack([ahead, reported, low, high], axis=1)),
@@ -216,13 +223,16 @@ class _Limits:
         if self._resin is None or self.settled:
             return
         leave = known_panel(filters, mixture, self._resin).leave(self._resin)
+        wanted = self._resin.limits.probability
         self._broken.append(leave.broken)
-        self.settled = leave.holds(self._resin.limits.probability)
+        if leave.holds(wanted):
+            before, risk = (float(self._broken[k].risk) for k in (max(len(self._broken) - 2, 0), -1))
+            self.settled = risk >= before or risk <= surely_known(wanted)
 
     def opening(self, ahead: Array) -> Opening:
         """Return from when on they hold, for the moments looked at."""
         if self._resin is None or not self._broken:
-            return Opening(math.nan, math.nan, math.nan, "", math.nan)
+            return NOTHING_FORESEEN
         return opening(ahead[: len(self._broken)], Broken.along(self._broken), self._resin.limits.probability)
 
 

@@ -232,6 +232,11 @@ class LiveSensor:
         return None if current is None else current.mixture
 
     @property
+    def limited(self) -> bool | None:
+        """Whether the resin file has a limit that decides when to open; None without one."""
+        return None if self._resin is None else self._resin.limits.any
+
+    @property
     def forecast(self) -> Forecast:
         """What lies ahead for what the header wants of the core, as `look_ahead` last found it."""
         if self._run is None or not len(self._run.scans):
@@ -243,6 +248,8 @@ class LiveSensor:
         run = self._run
         current = run.passes.current if run is not None else None
         if run is None or current is None or not (self._wishes.any or self._resin is not None):
+            return
+        if run.passes.overtaken:  # it would march on in the state that the press has left
             return
         if not math.isfinite(run.press.known.moments.closed_s) or run.scans.now - self._forecast_s < FORECAST_S:
             return

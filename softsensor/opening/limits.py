@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -207,6 +207,10 @@ class Opening:
     """From when on every limit holds with the wanted probability, 0: now; NaN: not as far as was looked. [s]"""
     likely_in_s: float
     """From when on it is likelier than not that every limit holds; NaN: never. [s]"""
+    earliest_s: float
+    """Lower bound of 95 % of when it will be known that they hold (`surely_known`). NaN with `in_s`. [s]"""
+    latest_s: float
+    """Upper bound of 95 % of it; NaN where that is later than was looked. [s]"""
     until_s: float
     """Until when it goes on holding from `in_s` on: the last moment looked at, or one before. NaN with `in_s`."""
     blocking: str
@@ -217,6 +221,28 @@ class Opening:
     """Where `in_s` is NaN: by how many standard deviations the limit broken most is, where that is known."""
 
     __repr__ = on_screen
+
+
+NOTHING_FORESEEN = Opening(math.nan, math.nan, math.nan, math.nan, math.nan, "", math.nan)
+
+
+def surely_known(wanted: float) -> float:
+    """Return the chance of a broken limit from which on, with 97.5 %, it will be known that limits hold.
+
+    The filters go on learning. What is known now of the moment at which limits begin to hold is, near it, a normal
+    of deviation s; of that some c will be left when the press may open, and it may from m + z c on, z the wanted
+    probability's deviate and m what is expected then. Now m has the deviation of s² - c², so that the press may
+    open before z c + 1.96 √(s² - c²) with 97.5 %, which is at most √(z² + 1.96²) s whatever c is. Before -1.96 s
+    it may with 2.5 % at most: c = 0, everything is learned.
+
+    Examples
+    --------
+    >>> round(surely_known(0.975), 4)  # 1.96 √2 = 2.77 deviations
+    0.0028
+    """
+    from scipy.special import ndtri
+
+    return float(_chance(-np.hypot(ndtri(wanted), BAND)))
 
 
 def _falls_to(ahead_s: Array, total: Array, level: float) -> float:
@@ -266,9 +292,19 @@ def opening(ahead_s: Array, found: Broken, wanted: float) -> Opening:
             return float(np.broadcast_to(chances[name], total.shape)[nearest]), float(beyond[name][nearest])
 
         worst, risk = max(chances, key=broken_most, default=""), float(total[nearest])
-        return Opening(math.nan, likely_in, math.nan, worst, risk, float(most[nearest]))
+        return replace(
+            NOTHING_FORESEEN, likely_in_s=likely_in, blocking=worst, risk=risk, beyond=float(most[nearest])
+        )
     first = int(np.argmax(holds))
     after = np.flatnonzero(~holds[first:])
     last = first + int(after[0]) - 1 if len(after) else len(holds) - 1
     risk = float(total[0]) if first == 0 else 1.0 - wanted
-    return Opening(_falls_to(ahead_s, total, 1.0 - wanted), likely_in, float(ahead_s[last]), "", risk)
+    return Opening(
+        in_s=_falls_to(ahead_s, total, 1.0 - wanted),
+        likely_in_s=likely_in,
+        earliest_s=_falls_to(ahead_s, total, float(_chance(np.asarray(BAND)))),
+        latest_s=_falls_to(ahead_s, total, surely_known(wanted)),
+        until_s=float(ahead_s[last]),
+        blocking="",
+        risk=risk,
+    )

@@ -98,7 +98,8 @@ def test_the_line_on_the_wall_speaks_german():
     assert words(Message(advice.code, advice.arguments), "de") == "öffnen in 11 s (8 bis 15)"
 
 
-CURED = {"cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s": 1.0}
+CURED = {"limited": True, "cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s": 1.0}
+BOUNDS = {"limits_earliest_s": 8.0, "limits_latest_s": 15.0}
 
 
 @pytest.mark.parametrize(
@@ -108,7 +109,10 @@ CURED = {"cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s"
         ({"limits_in_s": 0.0, "open_now": True}, "open_now", "OPEN NOW"),
         ({"limits_blocking": "cure_top"}, "blocked", "the upper face will not be cured within the forecast"),
         ({"limits_blocking": "steam_most"}, "blocked", "too much steam, or its pressure is not known"),
-        ({}, "not_known", "not known, because the resin file has no limit"),
+        ({}, "not_known", "not known, because the live sensor has no forecast yet"),
+        ({"limits_in_s": 11.0, **BOUNDS}, "open_in", "open in 11 s (8 to 15)"),
+        ({"limits_in_s": 11.0, **BOUNDS, "limits_latest_s": None}, "open_in", "open in 11 s (8 or later)"),
+        ({"cure_low": None, "open_in_s": 0.0}, "not_known", None),
         ({"limits_in_s": 11.0, "forecast_age_s": 22.0}, "not_known", None),
         ({"limits_in_s": 11.0, "forecast_age_s": None}, "not_known", None),
         ({"limits_in_s": 0.0}, "open_in", None),
@@ -119,6 +123,21 @@ def test_with_a_resin_its_limits_alone_decide(beside, verdict, sentence):
     assert advice.verdict == verdict
     assert sentence in (None, advice.sentence)
     assert (advice.open_in_s is None) == (verdict not in ("open_in", "open_now"))
+
+
+def test_nothing_is_to_be_opened_in_no_time_while_a_limit_does_not_hold():
+    advice = advice_of(estimate(**CURED, limits_in_s=0.2, limits_earliest_s=0.0), None)
+    assert (advice.open_in_s, advice.sentence) == (0.5, "open in 1 s (0 or later)")
+
+
+def test_bounds_of_limits_count_from_now_too():
+    advice = advice_of(estimate(**CURED, **BOUNDS, limits_in_s=11.0, age_s=2.0), None)
+    assert (advice.open_in_s, advice.open_earliest_s, advice.open_latest_s) == (9.0, 6.0, 13.0)
+
+
+def test_a_resin_without_limits_leaves_the_target_of_the_core_in_force():
+    advice = advice_of(estimate(**{**ahead(), **CURED, "limited": False}), 40.0)
+    assert (advice.verdict, advice.sentence) == ("open_in", "open in 11 s (8 to 15)")
 
 
 def test_an_invalid_estimate_gives_no_leave():

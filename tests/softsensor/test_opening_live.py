@@ -141,16 +141,33 @@ def test_the_moment_foreseen_is_the_moment_at_which_leave_is_given(one):
     assert all(o.limits_blocking == "" for _, o in before)
     assert max(abs(t + o.limits_in_s - given) for t, o in before) < 4.0
     assert all(o.limits_likely_in_s <= o.limits_in_s for _, o in before)
+    assert all(o.limits_earliest_s <= o.limits_likely_in_s for _, o in before)
+    bounded = [(t, o) for t, o in before if np.isfinite(o.limits_latest_s)]  # else something may have changed
+    assert len(bounded) > len(before) / 2
+    assert all(o.limits_in_s <= o.limits_latest_s for _, o in bounded)
+    assert all(t + o.limits_earliest_s <= given for t, o in before)
+    assert all(given <= t + o.limits_latest_s + 0.5 for t, o in bounded)  # scans lie 0.5 s apart
     after = [o for t, o in foreseen if given + 4.0 < t < truth.moments.opened_s - 1.0]
     assert all(o.limits_in_s == 0.0 for o in after)
 
 
+def test_no_forecast_is_of_the_press_as_it_was_before_it_closed():
+    ((run, truth),) = make_campaign(501, 1, None, replace(PLAN, rate_hz=10.0))
+    sensor, foreseen = LiveSensor(PRESS, headed(run).header, MODEL, RESIN), []
+    for i, t in enumerate(run.time_s[run.time_s < truth.moments.closed_s + 4.0].tolist()):
+        sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        sensor.look_ahead()
+        foreseen.append(sensor.forecast)
+    assert {o.limits_blocking for o in foreseen} == {""}
+    assert foreseen[-1].limits_in_s > 0.0
+
+
 def test_a_limit_that_cannot_be_met_is_named(one):
     run, truth, _ = one
-    cold = RESIN.model_copy(update={"limits": LimitsTable(cure_least=0.85, core_most_C=30.0, core_least_C=100.0)})
+    cold = RESIN.model_copy(update={"limits": LimitsTable(cure_least=0.85, core_most_C=15.0)})
     sensor = LiveSensor(PRESS, headed(run).header, MODEL, cold)
     for i, t in enumerate(run.time_s[run.time_s < truth.moments.closed_s + 20.0].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
     sensor.look_ahead()
     assert np.isnan(sensor.forecast.limits_in_s)
-    assert sensor.forecast.limits_blocking in ("core_most", "core_least")
+    assert sensor.forecast.limits_blocking == "core_most"

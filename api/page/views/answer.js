@@ -48,6 +48,9 @@ export function showAnswer(place, { state, estimate }, silent) {
 // Why nothing is known of now, whatever the panel: recorder or live sensor are silent, clocks disagree.
 const SILENT = ["live sensor silent", "no scans", "clock ahead"];
 
+// The core's target as far as it says when to open: not beside limits of a resin file.
+export const targetOf = (now) => (now.estimate?.limited ? null : now.target?.temperature_C ?? null);
+
 // The press's state as it may be shown: none that rests on old readings.
 export const stateOf = (now, stale) => (stale ? "unknown" : now.state);
 

@@ -6,7 +6,7 @@ import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, inWords, text } from "../words.js";
-import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, whySilent } from "./answer.js";
+import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -117,10 +117,10 @@ class LivePress {
   facts() {
     const { now } = this;
     this.showCore(now.estimate);
-    const target = now.target;
+    const target = now.target, deciding = targetOf(now);
     const rows = [
       [text("page-time-since-closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
-      [text("page-target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
+      [text("page-target"), target ? text(deciding === null ? "page-target-not-deciding" : "page-target-value", { target: target.temperature_C }) : "–"],
       ...ahead(now.state, believed(now.estimate)),
       [text("page-run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
       [text("page-press"), now.press],
@@ -132,7 +132,7 @@ class LivePress {
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
     this.sketch.replaceChildren(sketch(now));
     const { core_C: core } = believed(now.estimate);
-    const share = target && now.state !== "idle" && core ? (core - 20) / (target.temperature_C - 20) : 0;
+    const share = deciding !== null && now.state !== "idle" && core ? (core - 20) / (deciding - 20) : 0;
     this.meter.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
   }
 
@@ -251,7 +251,7 @@ class LivePress {
     const zero = closingOf(this.phases);
     this.chart.show({
       times: this.rows[0], low: this.rows[first], high: this.rows[first + 1], core: this.rows[first + 2], measured: this.inner.map(column),
-      phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes, stale: this.stale,
+      phases: this.phases, target: targetOf(this.now), course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes, stale: this.stale,
     });
     this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
     this.showBehind();

@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { duration, el } from "../dom.js";
 import { inWords, text } from "../words.js";
-import { CoreChart, courseOf, showAnswer, showCore, showLight, stateOf, take } from "./answer.js";
+import { CoreChart, courseOf, showAnswer, showCore, showLight, stateOf, targetOf, take } from "./answer.js";
 
 export async function show(place, context, [press]) {
   const wall = new Wall(place, context, press ?? context.press);
@@ -94,7 +94,7 @@ class Wall {
     const { now } = this;
     this.chart.chart.fit(this.chartPlace.clientHeight - 6);
     const [times, low, high, core] = this.rows;
-    this.chart.show({ times, low, high, core, phases: now.phases, target: now.target?.temperature_C ?? null, course: now.state === "closed" ? this.course : null, advice: now.estimate?.advice, stale: this.stale });
+    this.chart.show({ times, low, high, core, phases: now.phases, target: targetOf(now), course: now.state === "closed" ? this.course : null, advice: now.estimate?.advice, stale: this.stale });
   }
 
   showAge() {
