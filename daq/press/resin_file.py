@@ -134,6 +134,9 @@ class LimitsTable(Table):
     @model_validator(mode="after")
     def _no_other_sd(self) -> LimitsTable:
         _only(self, ("steam_most_kPa", "steam_believed_kPa"))
+        least, most = self.core_least_C, self.core_most_C
+        if least is not None and most is not None and least >= most:
+            raise ValueError(say("resin-limits-exclude", least=least, most=most))
         return self
 
     @property

@@ -282,6 +282,8 @@ def _checked(settings: PressSettings, path: Path) -> PressSettings:
     overridden(press, settings.header, place)
     if settings.resin is not None:
         read_resin(settings.resin)
+        if not press.panel_layers:
+            raise InputError(at(settings.resin, say("resin-needs-panel")))
     return _resting(settings, press)
 
 

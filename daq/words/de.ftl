@@ -346,6 +346,7 @@ printed-run = Pressung { $run }: { $scans } { $scans ->
 quality-form = { $text }: Spalte=Qualität schreiben, mit einem Leerzeichen zwischen zweien; eine Spalte mit anderen Worten umbenennen
 quality-no-such-column = { $text } nennt Spalte { $column }, die es nicht gibt; den Namen berichtigen
 quality-unknown = { $text }: { $quality } ist keine Qualität; es gibt { $known }
+resin-limits-exclude = core_least_C = { $least } und core_most_C = { $most } schließen einander aus, die Presse öffnete nie; core_least_C kleiner als core_most_C wählen
 resin-one-law = genau eine der Tabellen [order], [kamal] und [isoconversional] muss gegeben sein; die gemessene behalten
 resin-one-rate = genau einer der Schlüssel rate_per_s (bei reference_temperature_C) und prefactor_per_s muss gegeben sein; den anderen weglassen
 resin-sd-unused = { $key }.sd: nichts verwendet sie; den Schlüssel weglassen. Es zählen die sd von Geschwindigkeiten, Aktivierungsenergien und steam_most_kPa

@@ -346,6 +346,7 @@ printed-run = Run { $run }: { $scans } { $scans ->
 quality-form = { $text }: write column=quality, with one blank between two of them; rename a column that holds other words
 quality-no-such-column = { $text } names column { $column }, which is not there; correct the name
 quality-unknown = { $text }: { $quality } is no quality; they are { $known }
+resin-limits-exclude = core_least_C = { $least } and core_most_C = { $most } exclude each other, so that the press would never open; set core_least_C below core_most_C
 resin-one-law = exactly one of the tables [order], [kamal] and [isoconversional] must be given; keep the one that was measured
 resin-one-rate = exactly one of rate_per_s (at reference_temperature_C) and prefactor_per_s must be given; leave the other out
 resin-sd-unused = { $key }.sd: nothing uses it; leave it out. The sd of rates, of activation energies and of steam_most_kPa count

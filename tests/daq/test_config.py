@@ -61,6 +61,17 @@ def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(fo
     assert load_config(folder / "kerntemp.toml").press[0].resin == folder / "own.toml"
 
 
+def test_a_resin_for_a_press_without_a_panel_is_refused(folder):
+    press = (folder / "lab.toml").read_text(encoding="utf-8")
+    kept = "thickness_mm = 16.0\nconductivity_W_mK = 0.12\ndensity_kg_m3 = 740.0\nheat_capacity_J_kgK = 1550.0"
+    (folder / "lab.toml").write_text(press.replace("from_run = true", kept, 1), encoding="utf-8")
+    example = PRESSES.parent / "resins" / "melamine_formaldehyde.toml"
+    text = GOOD.replace('file = "lab.toml"', f'file = "lab.toml"\nresin = "{example.as_posix()}"')
+    (folder / "kerntemp.toml").write_text(text)
+    with pytest.raises(InputError, match="the press has no panel, so no paper cures"):
+        load_config(folder / "kerntemp.toml")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -291,3 +291,10 @@ def test_a_resin_file_is_refused_with_key_and_limit(change, expected):
         parse_resin(text.replace(*change), "own.toml")
     assert str(error.value).startswith("own.toml: ")
     assert expected in str(error.value)
+
+
+def test_limits_of_the_core_that_exclude_each_other_are_refused():
+    text = (RESINS / "melamine_formaldehyde.toml").read_text(encoding="utf-8")
+    wrong = text.replace("[limits]", "[limits]\ncore_least_C = 70.0\ncore_most_C = 60.0")
+    with pytest.raises(InputError, match=r"core_least_C = 70 and core_most_C = 60 exclude each other"):
+        parse_resin(wrong)
