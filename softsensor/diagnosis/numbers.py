@@ -52,6 +52,8 @@ class Errors:
 
     rmse_K: float  # noqa: N815
     rmse_raw_K: float  # noqa: N815
+    weighed_rmse_K: float  # noqa: N815
+    """`rmse_K`, steep moments counting less (`Digest.trust`): timing says more there than a model."""
     heldout_rmse_K: float  # noqa: N815
     """Runs left out, each with its own contacts and offsets fitted to it, and its panel's own constants unless a
     cause that these can make up for is in the model."""
@@ -138,13 +140,17 @@ def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Seque
     for run, other, pure, white in zip(stage.fit.runs, others, ahead, stage.data, strict=True):
         d = white.digest
         own = _squares(d, run.misfit + run.offsets[: len(d.signals)])
-        table.append((*own, _squares(d, other.misfit)[0], _squares(d, pure.misfit)[1], place_noise(d) ** 2))
+        weighed = _squares(d, d.trust * run.misfit)[0]
+        table.append(
+            (*own, weighed, _squares(d, other.misfit)[0], _squares(d, pure.misfit)[1], place_noise(d) ** 2)
+        )
         cores += _core_errors(d, run)
         cores_ahead += _core_errors(d, pure)
-    fit, raw, held, pure_, scatter = np.array(table).T
+    fit, raw, weighed, held, pure_, scatter = np.array(table).T
     return Errors(
         rmse_K=_rms(np.sqrt(fit + scatter)),
         rmse_raw_K=_rms(np.sqrt(raw + scatter)),
+        weighed_rmse_K=_rms(np.sqrt(weighed + scatter)),
         heldout_rmse_K=_rms(np.sqrt(held + scatter)),
         core_rmse_K=_rms(np.concatenate(cores)) if cores else None,
         predicted_rmse_K=_rms(np.sqrt(pure_ + scatter)),

@@ -94,14 +94,14 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
             if found.where
             else say("verdict-left"),
         )
-    return (say(_without_a_pattern(found.left, times), runs=runs, **residual),)
+    return (say(_without_a_pattern(found.left), runs=runs, **residual),)
 
 
-def _without_a_pattern(left: Remains, times: float) -> str:
+def _without_a_pattern(left: Remains) -> str:
     """Return what says why something is unknown though the runs share no pattern."""
     if not left.panels_alike:
         return "verdict-panels-differ"
-    if times > EXCESS:
+    if left.times_noise > EXCESS:
         return "verdict-differs-from-run-to-run"
     return "verdict-something-beyond-chance" if left.panels_as_given else "verdict-panels-not-as-given"
 

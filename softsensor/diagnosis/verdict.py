@@ -189,8 +189,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         runs=len(runs),
         proofs=tuple(_proof(f, errors[0], e, noise) for f, e in zip(causes, errors[1:], strict=True)),
         remains=tuple(
-            _remains(s, t, share, e.rmse_K, noise)
-            for s, t, share, e in zip(stages, tests, shares, errors, strict=True)
+            _remains(s, t, share, e, noise) for s, t, share, e in zip(stages, tests, shares, errors, strict=True)
         ),
         faulty_channels=bool(columns),
         suspected=bool(nearly),
@@ -227,13 +226,13 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     )
 
 
-def _remains(stage: SettledModel, test: PatternTest, explained: float, rmse_K: float, noise_K: float) -> Remains:
+def _remains(stage: SettledModel, test: PatternTest, explained: float, errors: Errors, noise_K: float) -> Remains:
     middle, differ = panels_as_usual(with_whole_panels(stage) if stage.effects else stage)
     return Remains(
         pattern=test,
         explained=explained,
-        times_noise=rmse_K / noise_K,
-        described=is_described(rmse_K, noise_K, [d.digest for d in stage.data]),
+        times_noise=errors.weighed_rmse_K / noise_K,
+        described=is_described(errors.rmse_K, noise_K, [d.digest for d in stage.data]),
         panels_as_given=middle > ALPHA_PATTERN / 2,
         panels_alike=differ > ALPHA_PATTERN / 2,
     )
@@ -245,7 +244,7 @@ def _proof(found: Finding, plain: Errors, with_it: Errors, noise: float) -> Proo
         gain=found.gain,
         predicted=found.predicted,
         saves=found.saves,
-        times_noise=with_it.rmse_K / noise,
+        times_noise=with_it.weighed_rmse_K / noise,
         size_is_sure=_size_is_sure(find_effect(found.name), found.parameters),
         heldout_ratio=float(np.exp(np.mean(np.log(with_it.heldout / plain.heldout)))),
     )

@@ -449,6 +449,20 @@ def test_the_noise_floor_is_the_readings_and_neither_the_misfit_nor_a_cap() -> N
     assert noise_floor([loud]) > 2.0
 
 
+def test_what_late_scans_make_of_steep_moments_is_no_more_than_noise() -> None:
+    plain = diagnosed(None, 41).stages[0]
+    runs = tuple(
+        replace(run, misfit=run.misfit + 0.1 * d.digest.slope)
+        for run, d in zip(plain.fit.runs, plain.data, strict=True)
+    )
+    noise = noise_floor([plain])
+    for off, residual in ((1.2, plain.fit.runs), (EXCESS, runs)):
+        stage = replace(plain, fit=replace(plain.fit, runs=residual))
+        errors = measure_errors(stage, residual, residual)
+        assert (errors.rmse_K > EXCESS * noise) is (residual is runs)
+        assert errors.weighed_rmse_K < off * noise
+
+
 def test_a_named_cause_says_what_it_means_for_the_core() -> None:
     text = sentences(core_messages(diagnosed("edge_loss", 501, 7, 0.5)))
     assert "K cooler than by the plain model" in text
@@ -649,7 +663,7 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
         assert expected in sentences(
             verdict_messages(replace(beyond_chance, remains=(replace(found.left, **panels),)))
         )
-    differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
+    differs = replace(beyond_chance, remains=(replace(found.left, times_noise=2.0),))
     assert "differs from run to run" in sentences(verdict_messages(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)
     assert sentences(verdict_messages(off)).startswith("No verdict is possible: the model is ")
