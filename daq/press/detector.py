@@ -362,18 +362,22 @@ class PressEventDetector:
         return _most_fell(now.tops, then.tops)
 
     def _warms_since(self) -> float | None:
-        """Return since when the upper face warms again after a fall too short for an opening, if it does. [s]
+        """Return since when both faces warm again after a fall too short for an opening, if they do. [s]
 
-        A face that lost its plate falls as the root of time, for as long as the panel is a half space. Where it
-        warms again sooner, the plate is there: what had ended is the heat of a resin that cures within seconds.
+        A face that lost its plate falls as the root of time, for as long as the panel is a half space. Where both
+        warm again sooner, the plates are there: what had ended is the heat of a resin that cures within seconds.
+        One face alone does not show it: after an opening a single noisy sensor rises by kelvins, too.
         """
         if self._state is not PressState.OPEN or not self._was_closed or self._times[0] > self._since + REACH_S:
             return None
-        since = [row for row in self._rows if row.time >= self._since and row.top == row.top]
+        since = [
+            row for row in self._rows if row.time >= self._since and row.top + row.bottom == row.top + row.bottom
+        ]
         lowest = min(since, key=lambda row: row.top, default=None)
         if lowest is None or lowest.time - self._since >= REACH_S:
             return None
-        return lowest.time if since[-1].top - lowest.top > BREAK_K else None
+        risen = min(since[-1].top - lowest.top, since[-1].bottom - min(row.bottom for row in since))
+        return lowest.time if risen > BREAK_K else None
 
     def _inserted(self, now: _FaceRow, then: _FaceRow) -> bool:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""

@@ -4,8 +4,8 @@ The faces decide, each by the median of its sensors, so that a loose, dead or no
 
 * insertion: the lower face of a cool panel jumps on the hot lower plate while the upper face stays;
 * closing: the upper face jumps towards the hot upper plate, tens of kelvins a second;
-* opening: both faces, hot until then, start to fall at once; where the upper one warms again within seconds, the
-  press is closed as before, and a resin has cured;
+* opening: both faces, hot until then, start to fall at once; where both warm again within seconds, the press is
+  closed as before, and a resin has cured;
 * removal: the lower face loses its plate and falls, or the faces are cold again.
 
 A limit switch or a pressure channel, where one is logged, goes before the temperatures

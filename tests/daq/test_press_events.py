@@ -182,6 +182,12 @@ def test_a_resin_that_has_cured_within_seconds_does_not_open_the_press(rate_hz, 
         assert math.isnan(find_moments(cut, PRESS).opened_s)
 
 
+def test_a_single_noisy_sensor_that_rises_after_the_opening_does_not_close_the_press():
+    run = next(run for run, _ in campaign(10500, 10, 10.0, 0.05) if run.name == "v10500-05")
+    events = replay(run, columns=["platen_top", "platen_bottom", "top_5", "bottom_6"])
+    assert [e.kind.value for e in events] == IN_ORDER
+
+
 def test_a_limit_switch_goes_before_the_temperatures():
     run, _ = one_run(closed_column=True)
     late = Run("late", {}, run.time_s, {**run.columns, "closed": np.roll(run.columns["closed"], 12)})
