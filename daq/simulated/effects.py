@@ -60,6 +60,7 @@ UNLISTED: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType(
         "contact_levelling": {"share": (0.3, 0.8)},
         "contact_break": {"lost": (0.3, 0.6), "temperature_C": (140.0, 160.0)},
         "conductivity_step": {"lost": (0.25, 0.5), "temperature_C": (60.0, 110.0)},
+        "inner_source": {"kW_m3": (600.0, 1500.0)},
     }
 )
 """Laws of physics that are in no catalogue, and from where to where their parameters are drawn.
@@ -67,6 +68,7 @@ UNLISTED: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType(
 ``contact_levelling``: a contact grows with the pressure p as 1 - exp(-p / (share p_ref)), 1 at the reference.
 ``contact_break``: both contacts lose a share where the face they touch is above a temperature.
 ``conductivity_step``: the panel's conductivity loses a share above a temperature.
+``inner_source``: heat released about the middle of the panel as long as the press is closed.
 """
 
 _DRAWN = {**SIZES, **UNLISTED}

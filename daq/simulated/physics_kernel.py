@@ -107,6 +107,8 @@ class Knobs(NamedTuple):
     edge: float
     vapour: float
     vapour_uniform: bool
+    inner: float
+    """Power released about the middle of the panel while closed, where it is densest. [W/m³]"""
     evap_t: float
     evap_width: float
     evap_tau: float
@@ -158,6 +160,8 @@ class PressStack(NamedTuple):
     """Share of the resin's heat each panel node takes; for the lower face, mirrored for the upper."""
     wet: Array
     """Share of condensing steam's heat each panel node takes."""
+    inner: Array
+    """Volume of each panel node that a source about the middle fills. [m³/m²]"""
     start: float
     step: float
     low: Array
@@ -410,6 +414,11 @@ def sources(at: Instant, f: float, y: NodeState, k: Knobs, s: PressStack, d: Nod
             d.T[s.first + i] += k.cure_heat * (s.skin[i] * d.x[0] + s.skin[m - 1 - i] * d.x[1])
     if k.vapour > 0.0 and f > 0.0:
         steam(f, y.T, k, s, d.T)
+    if k.inner > 0.0:
+        for i in range(m):
+            q = f * k.inner * s.inner[i]
+            d.T[s.first + i] += q
+            external += q
     if k.wet_heat > 0.0:
         a, b = (at.t - k.wet_release) / k.wet_width, 0.5 * (at.t - k.wet_return) / k.wet_width
         power = k.wet_heat * 0.3989422804 / k.wet_width * (np.exp(-0.5 * a * a) - 0.5 * np.exp(-0.5 * b * b))

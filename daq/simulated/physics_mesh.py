@@ -33,6 +33,8 @@ DRYING_TIME = 0.5
 WET_DEPTH, WET_WIDTH = 1.5e-3, 0.5e-3
 """Where steam of a wet spot condenses, below the upper face. [m]"""
 
+INNER_WIDTH = 0.15
+"""Of a source about the middle, one standard deviation as a share of the panel's thickness."""
 
 _PANEL_NODES = {"fast": (5e-6, 1.06, 0.15e-3), "accurate": (4e-6, 1.03, 0.06e-3)}
 _PLATE_NODES = {"fast": (0.1e-3, 1.2, 0.6e-3), "accurate": (0.04e-3, 1.08, 0.25e-3)}
@@ -84,6 +86,7 @@ def build_mesh(pressing: Pressing, accuracy: Accuracy) -> PressMesh:
         latent=LATENT_HEAT * moisture / 100.0 * panel.density * volume,
         skin=_shares(volume * np.exp(-depth / SKIN)),
         wet=_shares(volume * np.exp(-0.5 * ((panel.thickness - WET_DEPTH - depth) / WET_WIDTH) ** 2)),
+        inner=volume * np.exp(-0.5 * ((depth / panel.thickness - 0.5) / INNER_WIDTH) ** 2),
         start=low.start,
         step=low.step,
         low=low.values,
@@ -128,6 +131,7 @@ def build_knobs(pressing: Pressing, mesh: PressMesh) -> Knobs:
         emissivity=of("open_radiation", "emissivity", 0.0),
         edge=of("edge_loss", "W_m3K", 0.0),
         vapour=of("vapour_convection", "W_m3K", 0.0),
+        inner=1e3 * of("inner_source", "kW_m3", 0.0),
         vapour_uniform=pressing.vapour_law == "uniform",
         evap_t=of("moisture_evaporation", "temperature_C", 100.0),
         evap_width=SORBED_WIDTH if pressing.drying_law == "sorbed" else DRYING_WIDTH,

@@ -109,6 +109,10 @@ class Terms:
     """Of rho c, relative, by cell. [1/K]"""
     exchange: Numbers | float = 0.0
     """Heat lost to ambient per volume, by cell. [W/m³K]"""
+    source: Numbers | float = 0.0
+    """Heat released while the press is closed, by cell, where its course is 1. [W/m³]"""
+    course: Numbers | float = 1.0
+    """Factor on this source: a number or one for each step."""
     closed_contact: Mapping[int, Numbers] = field(default_factory=dict)
     """Factor on a closed contact's coupling, by contact: a number or one for each step."""
     contact_bend: Numbers | float = 0.0
@@ -133,10 +137,11 @@ class Terms:
     """Panel channels later than platen channels. [s]"""
 
 
-FACTORS = ("conductivity", "capacity")
+FACTORS = ("conductivity", "capacity", "course")
 """Terms that several effects multiply."""
 SUMMANDS = (
-    *("conductivity_slope", "conductivity_bend", "capacity_slope", "exchange", "contact_bend"),
+    *("conductivity_slope", "conductivity_bend", "capacity_slope", "exchange", "source"),
+    "contact_bend",
     *("emissivity", "convection"),
     *("plates_offset", "lag", "footprint", "clock"),
 )
@@ -154,6 +159,8 @@ class LawOf(StrEnum):
     CONDUCTIVITY = "conductivity"
     HEAT = "heat"
     EXCHANGE = "heat_exchange"
+    SOURCE_BY_DEPTH = "source_by_depth"
+    SOURCE_BY_TIME = "source_by_time"
 
 
 class Need(StrEnum):

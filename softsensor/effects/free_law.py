@@ -19,6 +19,8 @@ effect                   values at the knots
                          that each touches, 0 at the hottest seen
 ``law_heat``             heat that goes for good as the panel warms up, over its temperature [kJ/m³K]
 ``law_heat_exchange``    heat lost to the room, over the height in the panel [W/m³K]
+``law_source_by_depth``  heat released in the closed press, over the height in the panel [kW/m³]
+``law_source_by_time``   the same everywhere in the panel, over log(1 + t / 2 s); beyond the longest time it stays
 =======================  =========================================================================================
 
 References
@@ -56,7 +58,10 @@ from softsensor.effects.parameters import Parameter
 
 SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
 """Which of the panel's contacts, from bottom to top, a law of contact is about."""
-KNOTS = {LawOf.CONTACT: 12, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.CONDUCTIVITY: 9, LawOf.EXCHANGE: 5}
+KNOTS = {
+    **{LawOf.CONTACT: 12, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.CONDUCTIVITY: 9, LawOf.EXCHANGE: 5},
+    **{LawOf.SOURCE_BY_DEPTH: 5, LawOf.SOURCE_BY_TIME: 12},
+}
 """Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
 LENGTH = 1.3
 """Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
@@ -64,6 +69,8 @@ EARLY_S = 2.0
 """Time counts as its logarithm from here on: a contact changes most at first (by hand, 2026-11). [s]"""
 HEAT_UNIT = 1e3
 """From the unit in which a law of heat is shown. [J/m³K per kJ/m³K]"""
+SOURCE_UNIT = 1e3
+"""From the unit in which a law of a source is shown. [W/m³ per kW/m³]"""
 STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
 LEAST_LOAD, MOST_LOAD = "least_load", "most_load"
 REFERENCE = 0.0
@@ -155,7 +162,7 @@ def _within(smooth: Smooth) -> Array:
 
 
 def exchange_knots() -> Smooth:
-    """Return the process of a law of exchange, over the height from -1 (lower face) to 1."""
+    """Return the process of a law by depth, over the height from -1 (lower face) to 1."""
     return Smooth.over(-1.0, 1.0, KNOTS[LawOf.EXCHANGE])
 
 
@@ -167,14 +174,20 @@ def contact_terms(scene: Scene, law: Function, last_s: float, side: str = "") ->
     """Return the contacts' factors, whose logarithm is `law`; after the longest time seen they stay. [s]"""
     if np.isnan(scene.closed_s):
         return Terms()
+    factor = _means(scene, lambda x: np.exp(law(x)), last_s)
+    return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], factor))
+
+
+def _means(scene: Scene, law: Function, last_s: float) -> Numbers:
+    """Return the means of a function of the time since closing over each step; after the longest it stays. [s]"""
     middle, half = 0.5 * (scene.step_start + scene.step_end), 0.5 * (scene.step_end - scene.step_start)
-    factor: Numbers = np.zeros(len(middle))
+    mean: Numbers = np.zeros(len(middle))
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         since = middle + node * half - scene.closed_s
         since = np.where(np.real(since) > 0.0, since, 0.0)
         since = np.where(np.real(since) < last_s, since, last_s)
-        factor = factor + 0.5 * weight * np.exp(law(np.log(1.0 + since / EARLY_S)))
-    return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], factor))
+        mean = mean + 0.5 * weight * law(np.log(1.0 + since / EARLY_S))
+    return mean
 
 
 def load_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
@@ -203,6 +216,18 @@ def heat_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
 def exchange_terms(scene: Scene, law: Function) -> Terms:
     """Return heat lost to the room by height in the panel."""
     return Terms(exchange=np.where(scene.panel_cells, law(scene.z), 0.0))
+
+
+def depth_source_terms(scene: Scene, law: Function) -> Terms:
+    """Return heat released in the closed press by height in the panel."""
+    return Terms(source=np.where(scene.panel_cells, SOURCE_UNIT * law(scene.z), 0.0))
+
+
+def time_source_terms(scene: Scene, law: Function, last_s: float) -> Terms:
+    """Return heat released everywhere in the panel by the time since closing. [s]"""
+    if np.isnan(scene.closed_s):
+        return Terms()
+    return Terms(source=on_panel(scene, SOURCE_UNIT, 0.0), course=_means(scene, law, last_s))
 
 
 @dataclass(frozen=True)
@@ -238,6 +263,9 @@ def _given(smooth: Smooth, values: Mapping[str, Any]) -> Function:
     return lambda x: values[STRENGTH] * law(x)
 
 
+_LAST = {LAST_S: (60.0, "s")}
+
+
 def _contact(side: str) -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         last_s = float(np.real(values[LAST_S]))
@@ -245,7 +273,7 @@ def _contact(side: str) -> LawEffect:
         law = levelled(_given(smooth, values), smooth.last, level)
         return contact_terms(scene, law, last_s, side)
 
-    ranges = {LAST_S: (60.0, "s")} | ({LEVEL: (0.0, "-")} if side else {})
+    ranges = _LAST | ({LEVEL: (0.0, "-")} if side else {})
     parameters = tuple(_parameters(KNOTS[LawOf.CONTACT], "-", ranges))
     live = Live(Role.SCATTER, with_states=True)
     name = f"law_contact_{side}" if side else "law_contact"
@@ -298,6 +326,25 @@ def _exchange() -> LawEffect:
     return LawEffect("law_heat_exchange", parameters, terms, SOURCE, live=live, needs=Need.PANEL)
 
 
+def _depth_source() -> LawEffect:
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return depth_source_terms(scene, _given(exchange_knots(), values))
+
+    parameters = tuple(_parameters(KNOTS[LawOf.SOURCE_BY_DEPTH], "kW/m³", {}))
+    live = Live(Role.HYPOTHESIS)
+    return LawEffect("law_source_by_depth", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
+
+
+def _time_source() -> LawEffect:
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        last_s = float(np.real(values[LAST_S]))
+        return time_source_terms(scene, _given(contact_knots(last_s), values), last_s)
+
+    parameters = tuple(_parameters(KNOTS[LawOf.SOURCE_BY_TIME], "kW/m³", _LAST))
+    live = Live(Role.HYPOTHESIS, with_states=True)
+    return LawEffect("law_source_by_time", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
+
+
 SOURCE = "free function, learned from the runs"
 
 
@@ -305,5 +352,5 @@ SOURCE = "free function, learned from the runs"
 def laws() -> dict[str, Effect]:
     """Return the effects that carry a law, by name."""
     bends = map(_by_temperature, (LawOf.CONTACT_BY_TEMPERATURE, LawOf.CONDUCTIVITY))
-    found = (*map(_contact, SIDES), _by_load(), *bends, _heat(), _exchange())
+    found = (*map(_contact, SIDES), _by_load(), *bends, _heat(), _exchange(), _depth_source(), _time_source())
     return {effect.name: effect for effect in found}

@@ -61,10 +61,11 @@ def _drive(case: Case, request: SolveRequest, p: int) -> implicit_steps.Drive:
     names, contacts = request.names, request.terms.closed_contact
     weight, d_weight = case.step_clock.shares(request.values, names, p)
     factor, d_factor = case.unchanged, np.zeros((*case.unchanged.shape, p))
-    if contacts:
+    if contacts or np.ndim(request.terms.course):
         factor = factor.copy()
         for m, f in contacts.items():
             factor[:, m] = f
+        factor[:, -1] = request.terms.course
     boundary, shift = case.boundary, request.boundary_shift
     if shift != (0.0, 0.0):
         boundary = boundary.copy()
@@ -74,6 +75,7 @@ def _drive(case: Case, request: SolveRequest, p: int) -> implicit_steps.Drive:
         if name in request.d_terms:
             for m, f in request.d_terms[name].closed_contact.items():
                 d_factor[:, m, i] = f
+            d_factor[:, -1, i] = request.d_terms[name].course
             d_boundary[:, i] = request.d_terms[name].boundary_offset
         if name in ("boundary_bottom_K", "boundary_top_K"):
             d_boundary[0 if "bottom" in name else 1, i] = 1.0
@@ -138,11 +140,11 @@ def _uniform(case: Case) -> float:
 
 def _at_rest(case: Case, request: SolveRequest, drive: implicit_steps.Drive) -> implicit_steps.Drive:
     """One step at the first row's outside temperatures, before the panel comes."""
-    contacts, p = drive.d_factor.shape[1:]
+    factors, p = drive.d_factor.shape[1:]
     weight, outside = np.zeros((1, 3)), np.zeros((1, 2, 2))
     weight[0, 0 if case.panel is not None else (1 if case.press.has_states else 2)] = 1.0
     outside[0, :, 0] = case.outside[0] + request.boundary_shift
-    one, unmoved = case.unchanged[:1], np.zeros((1, contacts, p))
+    one, unmoved = case.unchanged[:1], np.zeros((1, factors, p))
     return implicit_steps.Drive(np.ones(1), weight, np.zeros((1, 3, p)), one, unmoved, outside, drive.d_boundary)
 
 

@@ -68,6 +68,8 @@ class Stack(NamedTuple):
     table_y: Array
     exchange: Array
     """Volumetric exchange with ambient (n). [W/m³K]"""
+    source: Array
+    """Heat released in the closed press, times `Drive.factor` behind the contacts' (n); (0) without. [W/m³]"""
     interface: Integers
     """The interface of each contact (m)."""
     contact: Array
@@ -109,6 +111,8 @@ class Tangents(NamedTuple):
     c: Array
     c_slope: Array
     exchange: Array
+    source: Array
+    """(P, n) or (P, 0)"""
     contact: Array
     """(m, 3, 3, P)"""
     emissivity: Array
@@ -156,9 +160,9 @@ class Drive(NamedTuple):
     d_weight: Array
     """(steps, 3, P)"""
     factor: Array
-    """Factor on the coupling of the closed contact, in the step's mean (steps, m)."""
+    """Factor on a closed contact's coupling, in the step's mean, and last on `Stack.source` (steps, m + 1)."""
     d_factor: Array
-    """(steps, m, P)"""
+    """(steps, m + 1, P)"""
     boundary: Array
     """Boundary temperature: mean over the step and change across it (steps, 2, 2). [°C, K]"""
     d_boundary: Array
@@ -511,6 +515,20 @@ def exchange_sources(stack, d_rate, co):
 
 
 @compiled(inner=True)
+def closed_source(stack, d_source, drive, step, co):
+    """Add the heat that the panel releases in the closed press by itself."""
+    w, dw, dx, source, weight = co.w, co.dw, stack.dx, stack.source, drive.weight[step, 2]
+    n, last = dx.shape[0], drive.factor.shape[1] - 1
+    course = drive.factor[step, last]
+    for i in range(n):
+        w[SRC, i] += weight * course * source[i] * dx[i]
+    for q in range(dw.shape[1]):
+        change = drive.d_weight[step, 2, q] * course + weight * drive.d_factor[step, last, q]
+        for i in range(n):
+            dw[DSRC, q, i] += dx[i] * (change * source[i] + weight * course * d_source[q, i])
+
+
+@compiled(inner=True)
 def active_stretches(heat, d_heat, ends):
     """List where a conversion acts, stretch by stretch: first cell and the one after the last. Return how many.
 
@@ -674,6 +692,8 @@ def switched(stack, tan, drive, step, state, co):
     w, weight, d_weight = co.w, drive.weight[step], drive.d_weight[step]
     n, p = stack.dx.shape[0], co.dw.shape[1]
     exchange_sources(stack, tan.exchange, co)
+    if stack.source.shape[0] > 0:
+        closed_source(stack, tan.source, drive, step, co)
     contacts(stack, tan, drive, step, co)
     for r in range(stack.heat.shape[0]):
         conversion(stack, tan, state, r, drive.h[step], co)

@@ -407,7 +407,8 @@ def _without(tangents: kernels.Tangents) -> kernels.Tangents:
     """Return tangents by no parameter at all."""
     t = tangents
     return kernels.Tangents(
-        t.k[:0], t.k_slope[:0], t.c[:0], t.c_slope[:0], t.exchange[:0], t.contact[..., :0].copy(),
+        t.k[:0], t.k_slope[:0], t.c[:0], t.c_slope[:0], t.exchange[:0], t.source[:0],
+        t.contact[..., :0].copy(),
         t.emissivity[:0], t.convection[:0], t.flux[:, :0].copy(), t.heat[:, :0].copy(), t.law[:, :0].copy(),
         t.bends[:, :0].copy(),
     )  # fmt: skip

@@ -238,6 +238,7 @@ def _model(
         stack=build.stack,
         tangents=kernels.Tangents(
             t.k * by_row, t.k_slope * by_row, t.c * by_row, t.c_slope * by_row, t.exchange * by_row,
+            t.source * by_row,
             t.contact * units, t.emissivity * units, t.convection * units, t.flux * units,
             t.heat * by_row, t.law * units, t.bends * by_row,
         ),
@@ -261,9 +262,10 @@ def _by_load(case: Case, build: Build, thermal: ThermalModel, values: Mapping[st
     if not case.press.load_references:
         return ByLoad(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
     loaded, logs = over_loads(case)
-    first, others = build.drive, thermal.build(loaded, values, build.request.names).drive
-    d_log = others.d_factor / others.factor[:, :, None] - first.d_factor / first.factor[:, :, None]
-    return ByLoad(logs, np.log(others.factor / first.factor), d_log * units)
+    drives = build.drive, thermal.build(loaded, values, build.request.names).drive
+    (first, d_first), (other, d_other) = ((d.factor[:, :-1], d.d_factor[:, :-1]) for d in drives)  # of contacts
+    d_log = d_other / other[:, :, None] - d_first / first[:, :, None]
+    return ByLoad(logs, np.log(other / first), d_log * units)
 
 
 def _running(steps: Array) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import make_campaign, press_toml
 from daq.simulated.physics_kernel import STEP_K
+from daq.simulated.physics_mesh import INNER_WIDTH
 from softsensor.diagnosis.laws.choice import free_law
 from softsensor.diagnosis.settling import settle_base
 from softsensor.diagnosis.verdict import _screened
@@ -42,6 +43,11 @@ def lost(truth, x):
     return np.full(len(x), truth.effects["edge_loss"]["W_m3K"])
 
 
+def inside(truth, x):
+    """Return the heat released about the middle. [kW/m³]"""
+    return truth.effects["inner_source"]["kW_m3"] * np.exp(-0.5 * ((x - 0.5) / INNER_WIDTH) ** 2)
+
+
 def levelled_off(truth, x):
     """Return the factor on both contacts by pressure, 1 at the reference."""
     share = truth.effects["contact_levelling"]["share"]
@@ -67,6 +73,7 @@ CASES = {
     "contact_lapse": ("contact_lapse", ("contact_upper",), lapsed),
     "contact_buildup": ("contact_buildup", ("contact",), grown),
     "edge_loss": ("edge_loss", ("heat_exchange",), lost),
+    "inner_source": ("inner_source", ("source_by_depth",), inside),
     "moisture_evaporation": ("moisture_evaporation", ("heat",), None),
 }
 """What is hidden, the right kinds, and the true curve of a truth over x."""
@@ -84,19 +91,24 @@ class Answer(NamedTuple):
     """[K]"""
 
 
-def answered(seed, hidden, right, curve):
-    """Return what a campaign's runs tell."""
+def settled(seed, hidden):
+    """Return a campaign's plain model, fitted, and the truth of its first run."""
     eased = (hidden or "nothing") in EASED_CASES
     press = parse_press(press_toml(loaded=eased))
     campaign = make_campaign(seed, RUNS, hidden, EASED if eased else THIN)
     _, digests = _screened(press, [run for run, _ in campaign])
-    law = free_law(settle_base(ThermalModel(press), digests))
+    return settle_base(ThermalModel(press), digests), campaign[0][1]
+
+
+def answered(stage, truth, right, curve):
+    """Return what a campaign's runs tell."""
+    law = free_law(stage)
     if law is None:
         return Answer()
     if curve is None or law.kind not in right:
         return Answer(law.set, gain=law.gain.value_K)
     x, value, low, high = law.curve.T
-    true = curve(campaign[0][1], x)
+    true = curve(truth, x)
     off = np.sqrt(np.mean((value - true) ** 2)) / (np.ptp(true) or np.mean(np.abs(true)))
     return Answer(law.set, float(np.mean((true >= low) & (true <= high))), float(off), law.gain.value_K)
 
@@ -123,7 +135,7 @@ def main():
         hidden, right, curve = CASES[name]
         answers = []
         for seed in range(FIRST, FIRST + campaigns):
-            answers.append(found := answered(seed, hidden, right, curve))
+            answers.append(found := answered(*settled(seed, hidden), right, curve))
             figures = f"{100 * found.inside:.0f} % in its band, off by {100 * found.off:.0f} %, {found.gain:.2f} K"
             print(f"  {name} {seed}: {', '.join(found.set) or '-'}, {figures}", flush=True)
         print(line_of(name, answers, right), flush=True)

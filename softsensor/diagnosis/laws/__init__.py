@@ -25,12 +25,14 @@ kind               variable                     curve
                                                 comes [kJ/m³K]
 ``heat_exchange``  ``depth_share``              heat lost to the room by height in the panel, 0 at its lower face;
                                                 negative where it comes [W/m³K]
+``source_by_depth``  ``depth_share``            heat released in the closed press by height in the panel, negative
+                                                where it is taken up [kW/m³]
+``source_by_time``   ``time_since_closing_s``   the same, everywhere in the panel, by the time since closing
 =================  ===========================  =================================================================
 
 Runs left out decide: each, with the law from the others and its own contacts fitted, must be met better than
 without a law, with an interval above nothing; for each the kind is chosen by the other runs. Kinds that these do
-not distinguish from the best form a set. A source by time is not
-tried: what follows it stays unknown, or is described by the nearest kind.
+not distinguish from the best, or by less than counts as a pattern, form a set.
 
 References
 ----------

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.decision import FEW_RUNS
+from softsensor.diagnosis.decision import FEW_RUNS, NEGLIGIBLE_K
 from softsensor.diagnosis.extension import held_out
 from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.laws.curve import band, curve_of, resembles, two_sided
@@ -71,10 +71,10 @@ def free_law(stage: SettledModel) -> Law | None:
     unseen = [_chosen_without(fell, r) for r in range(len(before))]
     after = np.array([found[k].errors[r] for r, k in enumerate(unseen)])
     gain = paired_gain(before, after)
-    if not gain.sure or gain.value_K < HARDLY * float(np.sqrt(np.mean(before**2))):
+    if not _saves(before, after) or gain.value_K < HARDLY * float(np.sqrt(np.mean(before**2))):
         return None
     law = found[best]
-    alike = [t for t in found if t is not law and not paired_gain(t.errors, law.errors).sure]
+    alike = [t for t in found if t is not law and not _saves(t.errors, law.errors)]
     alike = [t for t in alike if paired_gain(before, t.errors).sure]
     curve = curve_of(law)
     names = tuple(t.kind.name for t in (law, *alike))
@@ -89,6 +89,12 @@ def free_law(stage: SettledModel) -> Law | None:
         stage=replace(stage, fit=law.fit),
         kept=_kept(law),
     )
+
+
+def _saves(before: Array, after: Array) -> bool:
+    """Whether errors of the same runs surely fall, by what counts as a pattern at all (runs). [K]"""
+    fallen = float(np.mean(before**2 - after**2))
+    return paired_gain(before, after).sure and fallen >= NEGLIGIBLE_K**2
 
 
 def _kept(law: FittedLaw) -> dict[str, FittedValue]:

@@ -56,7 +56,7 @@ def resembles(kind: LawOf, curve: Array) -> str | None:
     x, value, low, high = curve.T
     sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
     apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS[LawOf.CONTACT]) - 1)  # no sharper can the knots show it
-    sized = kind in (LawOf.HEAT, LawOf.EXCHANGE)
+    sized = kind in (LawOf.HEAT, LawOf.EXCHANGE, LawOf.SOURCE_BY_DEPTH, LawOf.SOURCE_BY_TIME)
 
     def holds(shape: Any) -> bool:
         return bool(np.mean((shape >= low) & (shape <= high)) >= INSIDE)

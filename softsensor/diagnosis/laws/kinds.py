@@ -30,6 +30,7 @@ from softsensor.effects.free_law import (
     conductivity_terms,
     contact_knots,
     contact_terms,
+    depth_source_terms,
     exchange_knots,
     exchange_terms,
     face_terms,
@@ -38,6 +39,7 @@ from softsensor.effects.free_law import (
     levelled,
     load_knots,
     load_terms,
+    time_source_terms,
 )
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.timing import OPENING_RAMP_S
@@ -51,6 +53,8 @@ HEAT_SIZE = 1e3
 """Of a law of heat, about the heat capacity of wood per volume. [kJ/m³K]"""
 EXCHANGE_SIZE = 1e3
 """Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
+SOURCE_SIZE = HEAT_SIZE / 10.0
+"""Of a law of a source: what heats such wood by 1 K in 10 s. [kW/m³]"""
 POINTS = 33
 """Of a curve that is handed out."""
 
@@ -86,6 +90,7 @@ def kinds(stage: SettledModel) -> Iterator[LawKind]:
     ]
     if press.has_states and lasts:
         yield from (contact_by_time(float(np.max(lasts)), side) for side in SIDES)
+        yield source_by_time(float(np.max(lasts)))
     loads = _closed_loads(digests)
     if varies([{0: loads}]):
         yield contact_by_load(float(loads.min()), float(loads.max()))
@@ -97,6 +102,7 @@ def kinds(stage: SettledModel) -> Iterator[LawKind]:
         if press.has_states and lasts:
             yield contact_by_temperature(_coldest_closed(digests), hottest)
     yield exchange_by_depth()
+    yield source_by_depth()
 
 
 def contact_by_time(last_s: float, side: str = "") -> LawKind:
@@ -219,6 +225,40 @@ def exchange_by_depth() -> LawKind:
     effect = _effect(LawOf.EXCHANGE, smooth, terms)
     weights = EXCHANGE_SIZE * smooth.weights(z)
     return LawKind(LawOf.EXCHANGE, "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), weights, np.asarray, kept)
+
+
+def source_by_depth() -> LawKind:
+    """Return heat released in the closed press as a free function of the height in the panel."""
+    smooth = exchange_knots()
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return depth_source_terms(scene, _function(smooth, values, SOURCE_SIZE))
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return _at_knots(smooth, SOURCE_SIZE * numbers)
+
+    z = np.linspace(-1.0, 1.0, POINTS)
+    effect = _effect(LawOf.SOURCE_BY_DEPTH, smooth, terms, nonlinear=True)
+    weights = SOURCE_SIZE * smooth.weights(z)
+    return LawKind(
+        LawOf.SOURCE_BY_DEPTH, "depth_share", "kW/m3", effect, 0.5 * (z + 1.0), weights, np.asarray, kept
+    )
+
+
+def source_by_time(last_s: float) -> LawKind:
+    """Return heat released everywhere in the panel as a free function of the time since closing. [s]"""
+    smooth = contact_knots(last_s)
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return time_source_terms(scene, _function(smooth, values, SOURCE_SIZE), last_s)
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return {LAST_S: last_s, **_at_knots(smooth, SOURCE_SIZE * numbers)}
+
+    along = np.linspace(0.0, smooth.knots[-1], POINTS)
+    effect = _effect(LawOf.SOURCE_BY_TIME, smooth, terms, nonlinear=True)
+    x, weights = EARLY_S * np.expm1(along), SOURCE_SIZE * smooth.weights(along)
+    return LawKind(LawOf.SOURCE_BY_TIME, "time_since_closing_s", "kW/m3", effect, x, weights, np.asarray, kept)
 
 
 def _function(smooth: Smooth, values: Mapping[str, Any], size: float = 1.0) -> Function:
