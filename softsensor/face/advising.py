@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.given import keys_of, number_of
-from daq.press.header import USUAL_PANEL
+from daq.given import keys_of, number_of, warn
+from daq.press.header import USUAL_PANEL, check_header, doubts
 from daq.press.resin_file import Resin
 from daq.records import ROOM_C, InputError
 from daq.words import say
@@ -19,7 +19,7 @@ from softsensor.face.models import model_for
 from softsensor.face.showing import lines_html, shown
 from softsensor.planning.advise import DEFAULT_RANGES, PRESSURE, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
-from softsensor.planning.made_up import Task
+from softsensor.planning.made_up import ADVISED, Task
 from softsensor.planning.program import given_ranges
 from softsensor.planning.summary import advice_messages
 from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
@@ -103,7 +103,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
     Raises
     ------
     InputError
-        For no limit, or a panel, range, time, price or press that cannot be.
+        For no limit, limits that contradict each other, or a panel, range, time, price or press that cannot be.
 
     Examples
     --------
@@ -133,6 +133,9 @@ def advise(  # noqa: PLR0913 - one argument a wish
     settable = keys_of(ranges, "given-no-ranges")
     allowed = given_ranges(settable, DEFAULT_RANGES)
     given = keys_of(panel, "given-no-header")
+    check_header(given, ADVISED)
+    for doubt in doubts(given):
+        warn(doubt)
     header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **given}
     described = read_press(press)
     task = Task(described, model_for(model, described, header), header, waiting_s, allowed["press_time_s"][1])

@@ -33,6 +33,8 @@ from softsensor.signals.instrument import PLATEN_TOTAL_K, RAMP_S
 HALF = 48
 """Draws, each with its mirror image, so that their mean is exact to first order: a standard deviation from twice
 as many is good to 7 %. Set by hand, for answers within 10 s."""
+ADVISED = "advised"
+"""What a made-up run is called."""
 SEED = 22
 """The same draws for all programs, so that they differ by the program alone; any seed does."""
 
@@ -126,10 +128,10 @@ def made_up_run(task: Task, programme: Programme) -> tuple[Run, Moments]:
         raise InputError(say("advise-press-without-states", press=task.press.name))
     end = task.waiting_s + task.longest_s
     time_s = np.arange(0.0, end + ROW_S, ROW_S)
-    header = {"run": "advised", **task.header}
+    header = {"run": ADVISED, **task.header}
     if programme.pressure_N_cm2 is not None:
         header["setting.pressure_N_cm2"] = programme.pressure_N_cm2
-    empty = Run("advised", header, time_s, {})
+    empty = Run(ADVISED, header, time_s, {})
     described = press_for_run(task.press, empty)
     columns = {platen: np.full(len(time_s), programme.platen_C) for platen in described.platens}
     for contact in described.contact:

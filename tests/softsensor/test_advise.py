@@ -226,11 +226,28 @@ def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_i
             "steps of 1 s, and none lies",
         ),
         ({"limits": {"core_cold": 60.0}}, "core_cold"),
+        ({"limits": {"core_least_C": 80.0, "core_most_C": 60.0}}, "exclude each other"),
+        (
+            {"limits": {"core_least_C": 60.0}, "panel": {"panel.thicknes_mm": 19.0}},
+            "panel.thicknes_mm is not known; did you mean panel.thickness_mm",
+        ),
+        (
+            {"limits": {"core_least_C": 60.0}, "panel": {"thickness_mm": 19.0}},
+            "did you mean panel.thickness_mm",
+        ),
     ],
 )
 def test_what_cannot_be_advised_on_is_refused(given: dict[str, dict[str, float]], expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         softsensor.advise(press(), model(), **given)  # type: ignore[arg-type]
+
+
+def test_a_key_of_the_panel_that_nothing_knows_is_warned_of_as_in_a_runs_header():
+    asked = {"press_time_s": (60.0, 70.0), "platen_temperature_C": (180.0, 180.0)}
+    with pytest.warns(UserWarning, match="header key glue is not known"):
+        softsensor.advise(
+            press(), model(), panel={**PANEL, "glue": 1.0}, limits={"core_least_C": 60.0}, ranges=asked
+        )
 
 
 def test_a_press_that_never_opens_has_no_press_time() -> None:
