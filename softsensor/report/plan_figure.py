@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import textwrap
 from functools import partial
+from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter, SymmetricalLogLocator
 
 from daq.printed import LINE
 from daq.words import say
@@ -13,6 +15,9 @@ from daq.words.message import ENGLISH, words
 from softsensor.planning.plan import PressingPlan
 from softsensor.planning.summary import point_message
 from softsensor.report.fit_figures import COLOURS, sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def plan_figure(found: PressingPlan, language: str = ENGLISH) -> Figure:
@@ -32,9 +37,19 @@ def plan_figure(found: PressingPlan, language: str = ENGLISH) -> Figure:
         names = [textwrap.fill(put(point_message(advice.point)), LINE // 3) for advice in found.points]
         ax.set_yticks(range(len(names)), names)
         ax.invert_yaxis()
-        ax.set_xscale("symlog", linthresh=1.0)  # a cause is worth hundreds where a coefficient is worth tenths
+        _scale_worth(ax)
         ax.set_axisbelow(True)
         ax.set_xlabel(put(say("figure-worth")))
         if names:
             figure.legend(loc="outside lower center", ncols=len(kinds), frameon=False)
     return figure
+
+
+def _scale_worth(ax: Axes) -> None:
+    """Draw less than a nat in proportion, more by decades: a cause is worth hundreds, a coefficient tenths."""
+    linear = 1.0
+    if ax.dataLim.xmax <= linear:
+        return
+    ax.set_xscale("symlog", linthresh=linear)
+    ax.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=linear, subs=(1, 2, 5)))
+    ax.xaxis.set_major_formatter(ScalarFormatter())

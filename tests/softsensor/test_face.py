@@ -837,6 +837,31 @@ def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):
     assert ax.get_legend() is None
 
 
+@pytest.mark.parametrize("share", [0.5, 0.99, 2.0, 300.0])
+def test_the_worth_of_pressings_is_drawn_over_an_axis_of_round_numbers(results, share):
+    planned = results["plan"].planned
+    most = max(one.prospect.worth for of in planned.points for one in (of.best, of.with_core, of.repeated) if one)
+
+    def scaled(one):
+        worth = share * one.prospect.worth / most if one else None
+        return one and replace(one, prospect=replace(one.prospect, worth=worth))
+
+    points = [
+        replace(of, best=scaled(of.best), with_core=scaled(of.with_core), repeated=scaled(of.repeated))
+        for of in planned.points
+    ]
+    (ax,) = softsensor.PlanResult(replace(planned, points=tuple(points))).plot()
+    ax.figure.canvas.draw()
+    low, high = ax.get_xlim()
+    ticks = [
+        label.get_text()
+        for at, label in zip(ax.get_xticks(), ax.get_xticklabels(), strict=True)
+        if low <= at <= high
+    ]
+    assert len(ticks) >= 3
+    assert all(len(text) <= 4 for text in ticks), ticks
+
+
 def test_a_live_sensor_says_which_press_it_follows_and_what_it_said_last(fitted):
     live = softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header, fitted)
     assert repr(live) == str(say("live-sensor-of-press", press="lab")) == "live sensor of press lab"
