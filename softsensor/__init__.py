@@ -51,7 +51,9 @@ if TYPE_CHECKING:
     from softsensor.face.simulating import Simulation as Simulation
     from softsensor.face.simulating import simulate as simulate
     from softsensor.fitting.campaign import CampaignFit as CampaignFit
+    from softsensor.fitting.paper.procedures import Combination as Combination
     from softsensor.fitting.result import RunFit as RunFit
+    from softsensor.fitting.simulated_run import Simulated as Simulated
     from softsensor.heat.model import ThermalModel as ThermalModel
     from softsensor.heat.model_file import FittedValue as FittedValue
     from softsensor.heat.model_file import ModelFile as ModelFile
@@ -62,6 +64,15 @@ if TYPE_CHECKING:
     from softsensor.live.sensor import Estimate as Estimate
     from softsensor.live.validity import Invalid as Invalid
     from softsensor.live.validity import InvalidReason as InvalidReason
+    from softsensor.opening.limits import Opening as Opening
+    from softsensor.planning.advise import ProgrammeAdvice as ProgrammeAdvice
+    from softsensor.planning.advise import Saving as Saving
+    from softsensor.planning.advise import TriedProgramme as TriedProgramme
+    from softsensor.planning.made_up import Programme as Programme
+    from softsensor.planning.open_points import Prospect as Prospect
+    from softsensor.planning.plan import PlannedPressing as PlannedPressing
+    from softsensor.planning.plan import PointAdvice as PointAdvice
+    from softsensor.planning.plan import PressingPlan as PressingPlan
 
 IMPORTED_S = time()
 """When this process began to import the package; see `daq.compiled`. [s]"""
@@ -69,6 +80,7 @@ IMPORTED_S = time()
 __all__ = [
     "AdviceResult",
     "CampaignFit",
+    "Combination",
     "Conversion",
     "Diagnosis",
     "DiagnosisResult",
@@ -85,20 +97,30 @@ __all__ = [
     "LiveSensor",
     "ModelFile",
     "Need",
+    "Opening",
     "Parameter",
     "PlanResult",
+    "PlannedPressing",
+    "PointAdvice",
     "Prediction",
     "Press",
+    "PressingPlan",
+    "Programme",
+    "ProgrammeAdvice",
+    "Prospect",
     "Replay",
     "Reproduction",
     "Resin",
     "Role",
     "RunFit",
+    "Saving",
     "Scene",
+    "Simulated",
     "Simulation",
     "SteamLimit",
     "Terms",
     "ThermalModel",
+    "TriedProgramme",
     "add_effect",
     "advise",
     "diagnose",
@@ -117,6 +139,7 @@ __all__ = [
 _HOMES = {
     "AdviceResult": "softsensor.face.advising",
     "CampaignFit": "softsensor.fitting.campaign",
+    "Combination": "softsensor.fitting.paper.procedures",
     "Conversion": "softsensor.effects",
     "Diagnosis": "softsensor.diagnosis.finding",
     "DiagnosisResult": "softsensor.face.diagnosing",
@@ -133,20 +156,30 @@ _HOMES = {
     "LiveSensor": "softsensor.face.feeding",
     "ModelFile": "softsensor.heat.model_file",
     "Need": "softsensor.effects",
+    "Opening": "softsensor.opening.limits",
     "Parameter": "softsensor.effects.parameters",
     "PlanResult": "softsensor.face.planning",
+    "PlannedPressing": "softsensor.planning.plan",
+    "PointAdvice": "softsensor.planning.plan",
     "Prediction": "softsensor.face.predicting",
     "Press": "daq.press.press_file",
+    "PressingPlan": "softsensor.planning.plan",
+    "Programme": "softsensor.planning.made_up",
+    "ProgrammeAdvice": "softsensor.planning.advise",
+    "Prospect": "softsensor.planning.open_points",
     "Replay": "softsensor.live.replay",
     "Reproduction": "softsensor.face.reproducing",
     "Resin": "daq.press.resin_file",
     "Role": "softsensor.effects",
     "RunFit": "softsensor.fitting.result",
+    "Saving": "softsensor.planning.advise",
     "Scene": "softsensor.effects",
+    "Simulated": "softsensor.fitting.simulated_run",
     "Simulation": "softsensor.face.simulating",
     "SteamLimit": "softsensor.face.learning",
     "Terms": "softsensor.effects",
     "ThermalModel": "softsensor.heat.model",
+    "TriedProgramme": "softsensor.planning.advise",
     "add_effect": "softsensor.effects",
     "advise": "softsensor.face.advising",
     "diagnose": "softsensor.face.diagnosing",

@@ -32,7 +32,9 @@ class Simulated:
     """What the model says about a run, place by place."""
 
     time_s: Array
+    """Of the run's rows. [s]"""
     state: tuple[PressState, ...]
+    """What the press does in each row."""
     places: Mapping[str, Array]
     """Temperature at each sensor position, named as in ``at``. [°C]"""
     measured: Mapping[str, Array]
@@ -40,9 +42,11 @@ class Simulated:
     rmse: Mapping[str, float]
     """The fit's `rmse_K` by position: all good channels, each one's constant offset removed. [K]"""
     core: Array
-    """[°C]"""
+    """In the middle of the panel, or where the press file puts it. [°C]"""
     profile_time_s: Array
+    """When the profile is given. [s]"""
     profile_depth_mm: Array
+    """From the panel's lower face. [mm]"""
     profile: Array
     """Temperature through the panel (times, depths). [°C]"""
     profile_heat: Array

@@ -140,15 +140,19 @@ class TriedProgramme:
     """One program, and the press time it needs."""
 
     programme: Programme
+    """What the press does."""
     press_time_s: Array
     """Looked at (t). [s]"""
     broken: Broken
     """How likely limits are (t)."""
     opening: Opening
+    """From which press time on every limit holds, and until when."""
     energy_kWh: float  # noqa: N815
     """Of a panel: heat it takes up, and what the plates lose while the press is open; NaN without a press time."""
     panels_per_h: float
+    """At the press time that it needs; NaN without one. [1/h]"""
     price: float | None
+    """Of a kWh, None where none was given. [€]"""
 
     __repr__ = on_screen
 
@@ -185,6 +189,7 @@ class Saving:
     source: str
     """`made_up.COEFFICIENTS` and so on, or a key of the header."""
     press_time_s: float
+    """That would do then. [s]"""
 
     __repr__ = on_screen
 
@@ -198,8 +203,11 @@ class ProgrammeAdvice:
     """The program to take, those beside it, and what to measure to press shorter."""
 
     panel: Mapping[str, Any]
+    """Of which panel and room, by keys of a run's header."""
     wish: Wish
+    """Limits, ranges, goal and prices asked for."""
     tried: tuple[TriedProgramme, ...]
+    """All that were looked at."""
     best: TriedProgramme | None
     """None: no program within the ranges keeps all limits."""
     nearest: TriedProgramme

@@ -61,8 +61,9 @@ class Programme:
     """What a press does with a panel."""
 
     platen_C: float  # noqa: N815
+    """Set point of both platens. [°C]"""
     pressure_N_cm2: float | None  # noqa: N815
-    """None: the press file and the model know of none."""
+    """None: the press file and the model know of none. [N/cm²]"""
 
 
 @dataclass(frozen=True)

@@ -38,11 +38,13 @@ class PlannedPressing:
     """One kind of pressing, and what it would bring to one open point."""
 
     settings: Settings
+    """What is set, by name, units at the names' ends."""
     core: bool
     """Whether a thermocouple is buried in the core of a sacrificial panel."""
     changed: tuple[str, ...]
     """Factors that differ from the usual ones."""
     prospect: Prospect
+    """What it would bring."""
 
     __repr__ = on_screen
 
@@ -69,6 +71,7 @@ class PointAdvice:
     """One open point and the pressings for it."""
 
     point: OpenPoint
+    """A set of causes not told apart, a suspected one, a coefficient or the core, and how well it is known."""
     repeated: PlannedPressing
     """The usual settings once more."""
     best: PlannedPressing
@@ -98,10 +101,15 @@ class PressingPlan:
     """What the runs leave open and the next pressings worth most, most open first."""
 
     runs: int
+    """How many it rests on."""
     verdict: str
+    """Of their diagnosis."""
     usual: Settings
+    """Of the run nearest to the middle, by name."""
     ranges: Ranges
+    """What can be set, from and to, by name."""
     points: tuple[PointAdvice, ...]
+    """What is open, and the pressings for it."""
 
     __repr__ = on_screen
 

@@ -170,6 +170,20 @@ def own_classes(hint):
     return [*parts, hint] if ours else parts
 
 
+def test_what_results_hold_is_public():
+    public = {getattr(package, name) for package in (softsensor, daq) for name in package.__all__}
+    results = [one for one in public if isinstance(one, type) and one.__module__.startswith("softsensor.face.")]
+    held = {
+        (result.__name__, found)
+        for result in results
+        for name, hint in get_type_hints(result, localns={"pd": pd, "Axes": object, **vars(kinds)}).items()
+        if name[0] != "_"
+        for found in own_classes(hint)
+    }
+    assert {found.__name__ for _, found in held} >= {"PressingPlan", "ProgrammeAdvice", "Simulated", "Combination"}
+    assert {(of, found.__name__) for of, found in held if found not in public} == set()
+
+
 def test_what_public_functions_take_and_give_is_public():
     from matplotlib.axes import Axes
 

@@ -201,10 +201,13 @@ class Combination:
     """One row of the table: a solver and a way to get slopes, over all measurements."""
 
     solver: str
+    """By its name."""
     slopes: str
+    """How derivatives were found."""
     converged: int
     """Measurements in which it reached the lowest cost any combination found (within 2 %)."""
     runs: int
+    """How many measurements there were."""
     seconds: float
     """Mean time a measurement. [s]"""
     evaluations: float
