@@ -120,9 +120,9 @@ def _open_in(
     if low is None:
         message = say("advice-open-in", **whole)
     elif high is None:
-        message = say("advice-open-in-at-least", **whole, low=math.floor(low))
+        message = say("advice-open-in-at-least", **whole, low=low)
     else:
-        message = say("advice-open-in-between", **whole, low=math.floor(low), high=math.ceil(high))
+        message = say("advice-open-in-between", **whole, low=low, high=high)
     return _known("open_in", message, target_C, age_s=age_s, open_in_s=round(at, 1), **_rounded(low, high))
 
 
