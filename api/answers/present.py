@@ -169,6 +169,8 @@ def as_of_now(
 ) -> StoredEstimate:
     """Return the newest estimate, of a scan of `utc`, as it counts now: without numbers where it is not of now.
 
+    Whether limits alone say when to open is of the resin file, and stays.
+
     Parameters
     ----------
     state, run
@@ -180,6 +182,8 @@ def as_of_now(
     stands: PressState | Literal["unknown"] = "unknown" if state == "unknown" else PressState(state)
     if why is None:
         return replace(estimate, state=stands)
+    kept = {name: value for name, value in (estimate.detail or {}).items() if name == "limited"}
+    told = {"reason_arguments": why.stored} if why.arguments else {}
     return replace(
         estimate,
         state=stands,
@@ -189,5 +193,5 @@ def as_of_now(
         core_high_celsius=math.nan,
         valid=False,
         reason=why.reason.value,
-        detail={"reason_arguments": why.stored} if why.arguments else None,
+        detail=kept | told or None,
     )

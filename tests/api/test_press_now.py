@@ -105,6 +105,16 @@ def test_an_estimate_that_is_not_valid_hands_on_no_outlook(store):
     assert now.target.time_to_target_s is None
 
 
+def test_limits_alone_still_say_when_to_open_where_nobody_updates_the_core_any_more(store):
+    """Else the page would draw the target that does not count."""
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 30.0, ended=False)
+    store.append_scans(key, [scan(n) for n in range(5, 30)])
+    store.append_estimates("lab", [estimate(5, 30.0, limited=True)])
+    now = now_of(store).estimate
+    assert (now.valid, now.reason, now.limited) == (False, "live sensor silent", True)
+
+
 def test_a_core_nobody_updates_any_more_is_not_shown_as_the_core_of_now(store):
     key = store.register_press("lab", CHANNELS)
     record(store, key, "one", range(5), 30.0, ended=False)
