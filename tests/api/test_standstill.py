@@ -74,13 +74,13 @@ def standing(monkeypatch, owner, name, thread=""):
 
 def starved_and_fed_again(beats, thread, free):
     """The watchdog starves while a thread stands still, and is fed once it goes on."""
-    since = len(beats)  # a slow machine's threads may have been late before
-    wait_until(lambda: any(thread in beat for beat in beats[since:]))
-    first = next(i for i, beat in enumerate(beats) if i >= since and thread in beat)
-    wait_until(lambda: len(beats) > first + 2)
-    assert "fed" not in beats[first : first + 3]
+    since = len(beats)  # a slow machine's threads may have been late before, and one such beat still be on its way
+    wait_until(lambda: len(beats) > since + 2 and all(thread in beat for beat in beats[-3:]))
+    starved = len(beats)
+    wait_until(lambda: len(beats) > starved + 2)
+    assert "fed" not in beats[starved : starved + 3]
     free.set()
-    wait_until(lambda: "fed" in beats[first + 3 :])
+    wait_until(lambda: "fed" in beats[starved + 3 :])
 
 
 HANGS = [

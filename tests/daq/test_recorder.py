@@ -435,13 +435,13 @@ def test_a_calibration_that_changes_is_in_force_between_runs_and_kept_with_them(
             made.config.read_text().replace('name = "upper"', 'name = "upper"\ncalibration = "upper.toml"')
         )
 
-        def newest():  # of a busy machine single readings are missing
-            return np.nanmedian(
-                [s.values[0] for s in store.scans_after("lab", store.newest_scan_number("lab") - 5).scans]
-            )
+        def newest():  # of a busy machine readings of single scans are missing, or of all
+            after = store.scans_after("lab", store.newest_scan_number("lab") - 5).scans
+            read = [scan.values[0] for scan in after if np.isfinite(scan.values[0])]
+            return np.median(read) if read else np.nan
 
         with recording(made):
-            wait_until(lambda: store.newest_scan_number("lab") > 10)
+            wait_until(lambda: store.newest_scan_number("lab") > 10 and np.isfinite(newest()))
             raw = newest()
             (tmp_path / "upper.toml").write_text(entry.format(1, "0.0") + entry.format(2, "30.0"))
             wait_until(lambda: newest() > raw + 20.0)

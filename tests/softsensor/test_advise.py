@@ -198,10 +198,10 @@ def test_the_chance_stated_where_no_program_will_do_is_that_of_any_limit_broken(
     assert stated in str(advice_title(found))
 
 
-@pytest.mark.parametrize("most_C", [20.0, 140.0])
-def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_its_distance(most_C: float) -> None:
-    """A core over 170 °C and under 20 °C; over 170 °C and under 140 °C: the two limits ask for the opposite."""
-    limits = limits_of(None, {"core_least_C": 170.0, "core_most_C": most_C})
+@pytest.mark.parametrize("limit", [{"core_least_C": 210.0}, {"core_most_C": 25.0}], ids=["least", "most"])
+def test_of_programs_that_all_break_a_limit_for_certain_the_nearest_is_told_by_its_distance(limit) -> None:
+    """No core is above 210 °C after 90 s, none below 25 °C after 60 s: one asks for hot platens, one for cool."""
+    limits = limits_of(None, limit)
     found = advise(task(), Wish(limits, None, {"press_time_s": (60.0, 90.0)}, Goal.TIME))
     assert {t.opening.risk for t in found.tried} == {1.0}
     furthest = {t.programme.platen_C: t.opening.beyond for t in found.tried}
