@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from softsensor.effects import Need as Need
     from softsensor.effects import Role as Role
     from softsensor.effects import Scene as Scene
+    from softsensor.effects import Source as Source
     from softsensor.effects import Terms as Terms
     from softsensor.effects import add_effect as add_effect
     from softsensor.effects import find_effect as find_effect
@@ -117,6 +118,7 @@ __all__ = [
     "Scene",
     "Simulated",
     "Simulation",
+    "Source",
     "SteamLimit",
     "Terms",
     "ThermalModel",
@@ -176,6 +178,7 @@ _HOMES = {
     "Scene": "softsensor.effects",
     "Simulated": "softsensor.fitting.simulated_run",
     "Simulation": "softsensor.face.simulating",
+    "Source": "softsensor.effects",
     "SteamLimit": "softsensor.face.learning",
     "Terms": "softsensor.effects",
     "ThermalModel": "softsensor.heat.model",

@@ -35,7 +35,7 @@ from softsensor.effects import (
     thermocouple_lag,
     vapour_convection,
 )
-from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Source, Terms, on_panel
 from softsensor.effects.free_law import laws
 
 ENTRY_POINTS = "kerntemp.effects"
@@ -182,6 +182,7 @@ __all__ = [
     "Need",
     "Role",
     "Scene",
+    "Source",
     "Terms",
     "add_effect",
     "catalogue",

@@ -79,6 +79,16 @@ class Conversion:
     """[K]"""
 
 
+@dataclass(frozen=True)
+class Source:
+    """Heat that the panel releases by itself while the press is closed: q = heat x course."""
+
+    heat: Numbers
+    """By cell; negative takes heat (n). [W/m³]"""
+    course: Numbers | float = 1.0
+    """A number, or one for each step."""
+
+
 REFERENCE_C = 20.0
 """Temperature at which conductivity and heat capacity are given; their slopes count from here. [°C]"""
 
@@ -109,10 +119,6 @@ class Terms:
     """Of rho c, relative, by cell. [1/K]"""
     exchange: Numbers | float = 0.0
     """Heat lost to ambient per volume, by cell. [W/m³K]"""
-    source: Numbers | float = 0.0
-    """Heat released while the press is closed, by cell, where its course is 1. [W/m³]"""
-    course: Numbers | float = 1.0
-    """Factor on this source: a number or one for each step."""
     closed_contact: Mapping[int, Numbers] = field(default_factory=dict)
     """Factor on a closed contact's coupling, by contact: a number or one for each step."""
     contact_bend: Numbers | float = 0.0
@@ -123,6 +129,8 @@ class Terms:
     """Steam transport in the closed panel. [W/m³K]"""
     conversions: tuple[Conversion, ...] = ()
     """Heat released or taken once, one for each thing that is used up."""
+    sources: tuple[Source, ...] = ()
+    """Heat released while the press is closed; an effect with any is `nonlinear`, for only steps follow it."""
     paper: tuple[Any, Any] | None = None
     """Resistance and capacity of a layer on each panel face. [m²K/W, J/m²K]"""
     plates_offset: Any = 0.0
@@ -137,11 +145,10 @@ class Terms:
     """Panel channels later than platen channels. [s]"""
 
 
-FACTORS = ("conductivity", "capacity", "course")
+FACTORS = ("conductivity", "capacity")
 """Terms that several effects multiply."""
 SUMMANDS = (
-    *("conductivity_slope", "conductivity_bend", "capacity_slope", "exchange", "source"),
-    "contact_bend",
+    *("conductivity_slope", "conductivity_bend", "capacity_slope", "exchange", "contact_bend"),
     *("emissivity", "convection"),
     *("plates_offset", "lag", "footprint", "clock"),
 )

@@ -50,6 +50,7 @@ from softsensor.effects.effect import (
     Numbers,
     Role,
     Scene,
+    Source,
     Terms,
     on_panel,
 )
@@ -58,9 +59,11 @@ from softsensor.effects.parameters import Parameter
 
 SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
 """Which of the panel's contacts, from bottom to top, a law of contact is about."""
+BY_TIME, BY_DEPTH = 12, 5
+"""Knots of every law by time, and by depth."""
 KNOTS = {
-    **{LawOf.CONTACT: 12, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.CONDUCTIVITY: 9, LawOf.EXCHANGE: 5},
-    **{LawOf.SOURCE_BY_DEPTH: 5, LawOf.SOURCE_BY_TIME: 12},
+    **{LawOf.CONTACT: BY_TIME, LawOf.CONTACT_BY_LOAD: 6, LawOf.HEAT: 9, LawOf.CONDUCTIVITY: 9},
+    **{LawOf.EXCHANGE: BY_DEPTH, LawOf.SOURCE_BY_DEPTH: BY_DEPTH, LawOf.SOURCE_BY_TIME: BY_TIME},
 }
 """Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
 LENGTH = 1.3
@@ -134,7 +137,7 @@ def levelled(law: Function, at: Array, level: Any = 0.0) -> Function:
 
 def contact_knots(last_s: float) -> Smooth:
     """Return the process of a law of contact, over log(1 + t / 2 s) of the time since closing. [s]"""
-    return Smooth.over(0.0, float(np.log1p(last_s / EARLY_S)), KNOTS[LawOf.CONTACT])
+    return Smooth.over(0.0, float(np.log1p(last_s / EARLY_S)), BY_TIME)
 
 
 def load_knots(least: float, most: float) -> Smooth:
@@ -161,9 +164,9 @@ def _within(smooth: Smooth) -> Array:
     return np.clip(BENDS_C, smooth.knots[0], smooth.knots[-1])
 
 
-def exchange_knots() -> Smooth:
+def depth_knots() -> Smooth:
     """Return the process of a law by depth, over the height from -1 (lower face) to 1."""
-    return Smooth.over(-1.0, 1.0, KNOTS[LawOf.EXCHANGE])
+    return Smooth.over(-1.0, 1.0, BY_DEPTH)
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -220,14 +223,14 @@ def exchange_terms(scene: Scene, law: Function) -> Terms:
 
 def depth_source_terms(scene: Scene, law: Function) -> Terms:
     """Return heat released in the closed press by height in the panel."""
-    return Terms(source=np.where(scene.panel_cells, SOURCE_UNIT * law(scene.z), 0.0))
+    return Terms(sources=(Source(on_panel(scene, SOURCE_UNIT * law(scene.z), 0.0)),))
 
 
 def time_source_terms(scene: Scene, law: Function, last_s: float) -> Terms:
     """Return heat released everywhere in the panel by the time since closing. [s]"""
     if np.isnan(scene.closed_s):
         return Terms()
-    return Terms(source=on_panel(scene, SOURCE_UNIT, 0.0), course=_means(scene, law, last_s))
+    return Terms(sources=(Source(on_panel(scene, SOURCE_UNIT, 0.0), _means(scene, law, last_s)),))
 
 
 @dataclass(frozen=True)
@@ -317,22 +320,13 @@ def _by_temperature(kind: LawOf) -> LawEffect:
     return LawEffect(f"law_{kind}", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
 
 
-def _exchange() -> LawEffect:
+def _by_depth(kind: LawOf, unit: str, terms_of: Callable[[Scene, Function], Terms], *, steps: bool) -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        return exchange_terms(scene, _given(exchange_knots(), values))
+        return terms_of(scene, _given(depth_knots(), values))
 
-    parameters = tuple(_parameters(KNOTS[LawOf.EXCHANGE], "W/m³K", {}))
+    parameters = tuple(_parameters(BY_DEPTH, unit, {}))
     live = Live(Role.HYPOTHESIS)
-    return LawEffect("law_heat_exchange", parameters, terms, SOURCE, live=live, needs=Need.PANEL)
-
-
-def _depth_source() -> LawEffect:
-    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        return depth_source_terms(scene, _given(exchange_knots(), values))
-
-    parameters = tuple(_parameters(KNOTS[LawOf.SOURCE_BY_DEPTH], "kW/m³", {}))
-    live = Live(Role.HYPOTHESIS)
-    return LawEffect("law_source_by_depth", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
+    return LawEffect(f"law_{kind}", parameters, terms, SOURCE, live=live, nonlinear=steps, needs=Need.PANEL)
 
 
 def _time_source() -> LawEffect:
@@ -340,7 +334,7 @@ def _time_source() -> LawEffect:
         last_s = float(np.real(values[LAST_S]))
         return time_source_terms(scene, _given(contact_knots(last_s), values), last_s)
 
-    parameters = tuple(_parameters(KNOTS[LawOf.SOURCE_BY_TIME], "kW/m³", _LAST))
+    parameters = tuple(_parameters(BY_TIME, "kW/m³", _LAST))
     live = Live(Role.HYPOTHESIS, with_states=True)
     return LawEffect("law_source_by_time", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
 
@@ -352,5 +346,7 @@ SOURCE = "free function, learned from the runs"
 def laws() -> dict[str, Effect]:
     """Return the effects that carry a law, by name."""
     bends = map(_by_temperature, (LawOf.CONTACT_BY_TEMPERATURE, LawOf.CONDUCTIVITY))
-    found = (*map(_contact, SIDES), _by_load(), *bends, _heat(), _exchange(), _depth_source(), _time_source())
+    exchange = _by_depth(LawOf.EXCHANGE, "W/m³K", exchange_terms, steps=False)
+    source = _by_depth(LawOf.SOURCE_BY_DEPTH, "kW/m³", depth_source_terms, steps=True)
+    found = (*map(_contact, SIDES), _by_load(), *bends, _heat(), exchange, source, _time_source())
     return {effect.name: effect for effect in found}

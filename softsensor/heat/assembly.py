@@ -130,7 +130,7 @@ class Layout:
             table_x=self.table_x,
             table_y=self.table_y,
             exchange=self._spread(terms.exchange),
-            source=self._spread(terms.source) if np.ndim(terms.source) else np.zeros(0),
+            source=_sources(terms, len(self.k)),
             interface=self.interface,
             contact=contact,
             parts=self.parts,
@@ -153,11 +153,10 @@ class Layout:
         self, terms: Terms, d_terms: Mapping[str, Terms], names: tuple[str, ...], p: int
     ) -> implicit_steps.Tangents:
         """Return the derivatives of the stack by the named parameters, with room for `p`."""
-        heated = np.ndim(terms.source) > 0
-        if not names and not terms.conversions and not bent(terms) and not heated:
+        n, rows = len(self.k), len(BENDS_C) if bent(terms) else 0
+        if not (names or terms.conversions or rows or terms.sources):
             return self.unmoved
-        rows, cells = len(BENDS_C) if bent(terms) else 0, len(self.k) if heated else 0
-        d = _tangents(len(self.k), len(self.interface), len(terms.conversions), p, (rows, cells))
+        d = _tangents(n, len(self.interface), len(terms.conversions), p, rows, len(terms.sources))
         index = {name: i for i, name in enumerate(names)}
         for m, state, kind, name in self.spots:
             if name in index:
@@ -171,7 +170,7 @@ class Layout:
             if bent(t):
                 d.bends[0, i], d.bends[1, i] = t.conductivity_bend, t.contact_bend
             d.exchange[i] = t.exchange
-            d.source[i] = t.source if heated else d.source[i]
+            d.source[:, i] = _sources(t, n)
             d.emissivity[i] = t.emissivity
             d.convection[i] = t.convection
             if t.paper is not None and terms.paper is not None:
@@ -195,11 +194,16 @@ def _bends(terms: Terms) -> Array:
     return np.stack([np.zeros(len(BENDS_C)) + x for x in (terms.conductivity_bend, terms.contact_bend)])
 
 
-def _tangents(n: int, contacts: int, r: int, p: int, some: tuple[int, int] = (0, 0)) -> implicit_steps.Tangents:
-    """Return tangents of nothing yet, by `p` parameters; `some`: of bends and of sources that are there."""
-    z, (bends, sources) = np.zeros, some
+def _sources(terms: Terms, n: int) -> Array:
+    """Return what the panel releases by itself (k, n)."""
+    return np.array([np.zeros(n) + source.heat for source in terms.sources]).reshape(-1, n)
+
+
+def _tangents(n: int, contacts: int, r: int, p: int, bends: int = 0, k: int = 0) -> implicit_steps.Tangents:
+    """Return tangents of nothing yet, by `p` parameters."""
+    z = np.zeros
     return implicit_steps.Tangents(
-        z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, sources)), z((contacts, 3, 3, p)), z(p), z(p),
+        z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((k, p, n)), z((contacts, 3, 3, p)), z(p), z(p),
         z((2, p)), z((r, p, n)), z((r, 4, p)), z((2, p, bends)),
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ from daq.press.press_file import InitialKind
 from daq.records import NoSteadyState
 from daq.words import say
 from softsensor.effects import Terms
+from softsensor.effects.effect import Numbers
 from softsensor.heat import first_profile, implicit_steps
 from softsensor.heat.case import Case
 from softsensor.heat.solve_request import SolveRequest
@@ -58,14 +59,14 @@ class Build:
 
 
 def _drive(case: Case, request: SolveRequest, p: int) -> implicit_steps.Drive:
-    names, contacts = request.names, request.terms.closed_contact
+    names, contacts, sources = request.names, request.terms.closed_contact, request.terms.sources
     weight, d_weight = case.step_clock.shares(request.values, names, p)
-    factor, d_factor = case.unchanged, np.zeros((*case.unchanged.shape, p))
-    if contacts or np.ndim(request.terms.course):
-        factor = factor.copy()
-        for m, f in contacts.items():
+    factor, (steps, first) = case.unchanged, case.unchanged.shape
+    if contacts or sources:
+        factor = np.hstack([factor, np.ones((steps, len(sources)))])
+        for m, f in _factors(request.terms, first).items():
             factor[:, m] = f
-        factor[:, -1] = request.terms.course
+    d_factor = np.zeros((*factor.shape, p))
     boundary, shift = case.boundary, request.boundary_shift
     if shift != (0.0, 0.0):
         boundary = boundary.copy()
@@ -73,14 +74,18 @@ def _drive(case: Case, request: SolveRequest, p: int) -> implicit_steps.Drive:
     d_boundary = np.zeros((2, p))
     for i, name in enumerate(names):
         if name in request.d_terms:
-            for m, f in request.d_terms[name].closed_contact.items():
+            for m, f in _factors(request.d_terms[name], first).items():
                 d_factor[:, m, i] = f
-            d_factor[:, -1, i] = request.d_terms[name].course
             d_boundary[:, i] = request.d_terms[name].boundary_offset
         if name in ("boundary_bottom_K", "boundary_top_K"):
             d_boundary[0 if "bottom" in name else 1, i] = 1.0
     d_boundary[~case.layout.measured] = 0.0
     return implicit_steps.Drive(case.h, weight, d_weight, factor, d_factor, boundary, d_boundary)
+
+
+def _factors(terms: Terms, first: int) -> dict[int, Numbers | float]:
+    """Return the factors in a drive's columns: of contacts, and from `first` on of sources."""
+    return {**terms.closed_contact, **{first + k: source.course for k, source in enumerate(terms.sources)}}
 
 
 def _start(
@@ -144,7 +149,7 @@ def _at_rest(case: Case, request: SolveRequest, drive: implicit_steps.Drive) -> 
     weight, outside = np.zeros((1, 3)), np.zeros((1, 2, 2))
     weight[0, 0 if case.panel is not None else (1 if case.press.has_states else 2)] = 1.0
     outside[0, :, 0] = case.outside[0] + request.boundary_shift
-    one, unmoved = case.unchanged[:1], np.zeros((1, factors, p))
+    one, unmoved = np.ones((1, factors)), np.zeros((1, factors, p))
     return implicit_steps.Drive(np.ones(1), weight, np.zeros((1, 3, p)), one, unmoved, outside, drive.d_boundary)
 
 

@@ -110,8 +110,8 @@ class Case:
 
     @cached_property
     def unchanged(self) -> Array:
-        """Factor 1 on every contact and the source in each step, not to be changed (steps, contacts + 1)."""
-        return np.ones((len(self.edges) - 1, len(self.layout.interface) + 1))
+        """Factor 1 on every contact in each step, not to be changed (steps, contacts)."""
+        return np.ones((len(self.edges) - 1, len(self.layout.interface)))
 
     @cached_property
     def step_clock(self) -> Clock:

@@ -55,7 +55,7 @@ import numpy as np
 from daq.press.press_file import InitialKind, Press
 from daq.records import InputError, Moments, Nonphysical, PressState, Run
 from daq.words import say
-from softsensor.effects import Conversion, Effect, Scene, Terms, find_effect, on_panel
+from softsensor.effects import Conversion, Effect, Scene, Source, Terms, find_effect, on_panel
 from softsensor.effects.effect import FACTORS, SUMMANDS
 from softsensor.heat import implicit_steps
 from softsensor.heat.build import Build
@@ -316,6 +316,7 @@ def _merge(a: Terms, b: Terms) -> Terms:
         **{name: getattr(a, name) + getattr(b, name) for name in SUMMANDS},
         closed_contact=contact,
         conversions=a.conversions + b.conversions,
+        sources=a.sources + b.sources,
         paper=b.paper if b.paper is not None else a.paper,
         boundary_offset=(a.boundary_offset[0] + b.boundary_offset[0], a.boundary_offset[1] + b.boundary_offset[1]),
     )
@@ -334,6 +335,7 @@ def _merged(parts: Iterable[Terms], *, imaginary: bool = False) -> Terms:
         conversions=tuple(
             Conversion(take(c.heat), c.kind, take(c.a), take(c.b), take(c.c)) for c in terms.conversions
         ),
+        sources=tuple(Source(take(s.heat), take(s.course)) for s in terms.sources),
         paper=None if terms.paper is None else (take(terms.paper[0]), take(terms.paper[1])),
         boundary_offset=(take(terms.boundary_offset[0]), take(terms.boundary_offset[1])),
     )

@@ -69,7 +69,7 @@ class Stack(NamedTuple):
     exchange: Array
     """Volumetric exchange with ambient (n). [W/m³K]"""
     source: Array
-    """Heat released in the closed press, times `Drive.factor` behind the contacts' (n); (0) without. [W/m³]"""
+    """Heat that cells release while closed, by source (k, n). [W/m³]"""
     interface: Integers
     """The interface of each contact (m)."""
     contact: Array
@@ -112,7 +112,7 @@ class Tangents(NamedTuple):
     c_slope: Array
     exchange: Array
     source: Array
-    """(P, n) or (P, 0)"""
+    """(k, P, n)"""
     contact: Array
     """(m, 3, 3, P)"""
     emissivity: Array
@@ -160,9 +160,9 @@ class Drive(NamedTuple):
     d_weight: Array
     """(steps, 3, P)"""
     factor: Array
-    """Factor on a closed contact's coupling, in the step's mean, and last on `Stack.source` (steps, m + 1)."""
+    """Factor on the coupling of a closed contact, then on each source, in the step's mean (steps, m + k)."""
     d_factor: Array
-    """(steps, m + 1, P)"""
+    """(steps, m + k, P)"""
     boundary: Array
     """Boundary temperature: mean over the step and change across it (steps, 2, 2). [°C, K]"""
     d_boundary: Array
@@ -515,17 +515,17 @@ def exchange_sources(stack, d_rate, co):
 
 
 @compiled(inner=True)
-def closed_source(stack, d_source, drive, step, co):
-    """Add the heat that the panel releases in the closed press by itself."""
-    w, dw, dx, source, weight = co.w, co.dw, stack.dx, stack.source, drive.weight[step, 2]
-    n, last = dx.shape[0], drive.factor.shape[1] - 1
-    course = drive.factor[step, last]
-    for i in range(n):
-        w[SRC, i] += weight * course * source[i] * dx[i]
-    for q in range(dw.shape[1]):
-        change = drive.d_weight[step, 2, q] * course + weight * drive.d_factor[step, last, q]
-        for i in range(n):
-            dw[DSRC, q, i] += dx[i] * (change * source[i] + weight * course * d_source[q, i])
+def closed_source(stack, tan, drive, step, k, co):
+    """Add the heat of source k, which the panel releases in the closed press by itself."""
+    dx, source, d_source = stack.dx, stack.source[k], tan.source[k]
+    weight, at = drive.weight[step, 2], stack.interface.shape[0] + k
+    course = drive.factor[step, at]
+    for i in range(dx.shape[0]):
+        co.w[SRC, i] += weight * course * source[i] * dx[i]
+    for q in range(co.dw.shape[1]):
+        change = drive.d_weight[step, 2, q] * course + weight * drive.d_factor[step, at, q]
+        for i in range(dx.shape[0]):
+            co.dw[DSRC, q, i] += dx[i] * (change * source[i] + weight * course * d_source[q, i])
 
 
 @compiled(inner=True)
@@ -692,8 +692,8 @@ def switched(stack, tan, drive, step, state, co):
     w, weight, d_weight = co.w, drive.weight[step], drive.d_weight[step]
     n, p = stack.dx.shape[0], co.dw.shape[1]
     exchange_sources(stack, tan.exchange, co)
-    if stack.source.shape[0] > 0:
-        closed_source(stack, tan.source, drive, step, co)
+    for k in range(stack.source.shape[0]):
+        closed_source(stack, tan, drive, step, k, co)
     contacts(stack, tan, drive, step, co)
     for r in range(stack.heat.shape[0]):
         conversion(stack, tan, state, r, drive.h[step], co)

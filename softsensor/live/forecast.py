@@ -116,8 +116,7 @@ class Forecast:
         """Return the same forecast some seconds on."""
         names = (
             "target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "open_earliest_s", "open_latest_s",
-            "limit_in_s", "limits_in_s", "limits_earliest_s",
-            "limits_latest_s", "limits_likely_in_s",
+            "limit_in_s", "limits_in_s", "limits_earliest_s", "limits_latest_s", "limits_likely_in_s",
         )  # fmt: skip
         left = {name: getattr(self, name) - seconds for name in names}
         ahead = {name: v if v != v else max(v, 0.0) for name, v in left.items()}
@@ -407,10 +406,9 @@ def _without(tangents: kernels.Tangents) -> kernels.Tangents:
     """Return tangents by no parameter at all."""
     t = tangents
     return kernels.Tangents(
-        t.k[:0], t.k_slope[:0], t.c[:0], t.c_slope[:0], t.exchange[:0], t.source[:0],
-        t.contact[..., :0].copy(),
-        t.emissivity[:0], t.convection[:0], t.flux[:, :0].copy(), t.heat[:, :0].copy(), t.law[:, :0].copy(),
-        t.bends[:, :0].copy(),
+        t.k[:0], t.k_slope[:0], t.c[:0], t.c_slope[:0], t.exchange[:0], t.source[:, :0].copy(),
+        t.contact[..., :0].copy(), t.emissivity[:0], t.convection[:0], t.flux[:, :0].copy(),
+        t.heat[:, :0].copy(), t.law[:, :0].copy(), t.bends[:, :0].copy(),
     )  # fmt: skip
 
 

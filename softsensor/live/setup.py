@@ -238,8 +238,7 @@ def _model(
         stack=build.stack,
         tangents=kernels.Tangents(
             t.k * by_row, t.k_slope * by_row, t.c * by_row, t.c_slope * by_row, t.exchange * by_row,
-            t.source * by_row,
-            t.contact * units, t.emissivity * units, t.convection * units, t.flux * units,
+            t.source * by_row, t.contact * units, t.emissivity * units, t.convection * units, t.flux * units,
             t.heat * by_row, t.law * units, t.bends * by_row,
         ),
         d_boundary=drive.d_boundary * units,
@@ -263,7 +262,8 @@ def _by_load(case: Case, build: Build, thermal: ThermalModel, values: Mapping[st
         return ByLoad(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
     loaded, logs = over_loads(case)
     drives = build.drive, thermal.build(loaded, values, build.request.names).drive
-    (first, d_first), (other, d_other) = ((d.factor[:, :-1], d.d_factor[:, :-1]) for d in drives)  # of contacts
+    contacts = len(case.layout.interface)  # factors on sources stand behind theirs
+    (first, d_first), (other, d_other) = ((d.factor[:, :contacts], d.d_factor[:, :contacts]) for d in drives)
     d_log = d_other / other[:, :, None] - d_first / first[:, :, None]
     return ByLoad(logs, np.log(other / first), d_log * units)
 

@@ -32,7 +32,7 @@ from softsensor.diagnosis.summary import law_messages
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import find_effect
 from softsensor.effects.effect import LawOf
-from softsensor.effects.free_law import LENGTH, LEVEL, STRENGTH, VALUE, Smooth, exchange_knots
+from softsensor.effects.free_law import LENGTH, LEVEL, STRENGTH, VALUE, Smooth, depth_knots
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, model_text
@@ -435,10 +435,27 @@ def test_a_source_s_tangents_are_its_derivatives_also_by_the_moment_of_closing(k
         assert exact.d_core[name] == pytest.approx((up.core - down.core) / (2.0 * step), rel=0.02, abs=0.02), name
 
 
+def test_sources_of_several_effects_add_up_each_by_its_own_course():
+    press = parse_press(press_toml())
+    run, truth = make_campaign(43, 1, None, THIN)[0]
+    kinds = [laws.source_by_depth(), laws.source_by_time(30.0)]
+    sized = [
+        {k.effect.key(p.name): size for p in k.effect.parameters}
+        for k, size in zip(kinds, (2.0, -1.0), strict=True)
+    ]
+    cores = {}
+    for chosen in ((), (0,), (1,), (0, 1)):
+        model = ThermalModel(press, tuple(kinds[k].effect for k in chosen))
+        values = {name: v for k in chosen for name, v in sized[k].items()}
+        cores[chosen] = model.solve(model.prepare(run, truth.moments), model.guesses | values).core
+    assert np.max(np.abs(cores[0,] - cores[1,])) > 1.0
+    assert cores[0, 1] == pytest.approx(cores[0,] + cores[1,] - cores[()], abs=0.05)
+
+
 def test_the_live_core_follows_a_source_that_the_model_file_holds():
     """The virtual press releases heat about the middle, 10 K of it at the core before the press opens."""
     press, (run, truth) = parse_press(press_toml()), make_campaign(24_200, 1, "inner_source", THIN)[0]
-    depth = 0.5 * (exchange_knots().knots + 1.0)
+    depth = 0.5 * (depth_knots().knots + 1.0)
     power = truth.effects["inner_source"]["kW_m3"] * np.exp(-0.5 * ((depth - 0.5) / INNER_WIDTH) ** 2)
     kept = {STRENGTH: FittedValue(1.0, 0.1)} | {
         f"{VALUE}_{k}": FittedValue(float(p), 0.0) for k, p in enumerate(power)

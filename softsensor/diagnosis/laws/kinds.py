@@ -11,7 +11,7 @@ import numpy as np
 from daq.records import Array
 from softsensor.diagnosis.search import varies
 from softsensor.diagnosis.settling import SettledModel
-from softsensor.effects import Effect, Scene, Terms
+from softsensor.effects import Effect, Scene, Terms, find_effect
 from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import (
     COLDEST_C,
@@ -30,8 +30,8 @@ from softsensor.effects.free_law import (
     conductivity_terms,
     contact_knots,
     contact_terms,
+    depth_knots,
     depth_source_terms,
-    exchange_knots,
     exchange_terms,
     face_terms,
     heat_knots,
@@ -213,36 +213,26 @@ def _factor_by_temperature(
 
 def exchange_by_depth() -> LawKind:
     """Return heat lost to the room as a free function of the height in the panel."""
-    smooth = exchange_knots()
-
-    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        return exchange_terms(scene, _function(smooth, values, EXCHANGE_SIZE))
-
-    def kept(numbers: Array) -> dict[str, float]:
-        return _at_knots(smooth, EXCHANGE_SIZE * numbers)
-
-    z = np.linspace(-1.0, 1.0, POINTS)
-    effect = _effect(LawOf.EXCHANGE, smooth, terms)
-    weights = EXCHANGE_SIZE * smooth.weights(z)
-    return LawKind(LawOf.EXCHANGE, "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), weights, np.asarray, kept)
+    return _by_depth(LawOf.EXCHANGE, "W/m3K", EXCHANGE_SIZE, exchange_terms)
 
 
 def source_by_depth() -> LawKind:
     """Return heat released in the closed press as a free function of the height in the panel."""
-    smooth = exchange_knots()
+    return _by_depth(LawOf.SOURCE_BY_DEPTH, "kW/m3", SOURCE_SIZE, depth_source_terms)
+
+
+def _by_depth(kind: LawOf, unit: str, size: float, terms_of: Callable[[Scene, Function], Terms]) -> LawKind:
+    smooth = depth_knots()
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        return depth_source_terms(scene, _function(smooth, values, SOURCE_SIZE))
+        return terms_of(scene, _function(smooth, values, size))
 
     def kept(numbers: Array) -> dict[str, float]:
-        return _at_knots(smooth, SOURCE_SIZE * numbers)
+        return _at_knots(smooth, size * numbers)
 
     z = np.linspace(-1.0, 1.0, POINTS)
-    effect = _effect(LawOf.SOURCE_BY_DEPTH, smooth, terms, nonlinear=True)
-    weights = SOURCE_SIZE * smooth.weights(z)
-    return LawKind(
-        LawOf.SOURCE_BY_DEPTH, "depth_share", "kW/m3", effect, 0.5 * (z + 1.0), weights, np.asarray, kept
-    )
+    effect = _effect(kind, smooth, terms, nonlinear=find_effect(f"law_{kind}").nonlinear)
+    return LawKind(kind, "depth_share", unit, effect, 0.5 * (z + 1.0), size * smooth.weights(z), np.asarray, kept)
 
 
 def source_by_time(last_s: float) -> LawKind:
