@@ -4,6 +4,7 @@ import { listen } from "./bell.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
 import * as access from "./views/access.js";
+import { startingOf } from "./views/answer.js";
 import * as alarms from "./views/alarms.js";
 import * as coefficients from "./views/coefficients.js";
 import * as diagnosis from "./views/diagnosis.js";
@@ -137,9 +138,11 @@ async function refreshHealth() {
   try {
     const health = await get("/health");
     document.getElementById("version").textContent = `Kerntemp ${health.version}`;
-    const lines = health.alarms.map((alarm, i) => inWords(health.alarms_said[i], alarm));
+    const starting = startingOf(health);
+    const lines = [...health.alarms.map((alarm, i) => `⚠ ${inWords(health.alarms_said[i], alarm)}`), ...(starting ? [starting] : [])];
     const alarms = document.getElementById("alarms");
-    if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, `⚠ ${line}`)));
+    if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, line)));
+    alarms.classList.toggle("calm", !health.alarms.length);
     await askAgain();
   } catch { /* the link state says it */ }
 }

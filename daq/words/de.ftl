@@ -2209,6 +2209,7 @@ page-no-press-hint = Eine Presse erscheint hier, sobald ihre Aufzeichnung beginn
 page-open-then = öffnen
 page-press = Presse
 page-running-pressing = Laufende Pressung
+page-sensor-starting = der Softsensor startet; beim ersten Mal dauert das etwa eine Minute
 page-stale-since = Keine neue Messung seit { $time }
 page-steam = Dampf
 page-time-since-closing = Seit dem Schließen

@@ -2196,6 +2196,7 @@ page-no-press-hint = A press appears here as soon as its recorder begins: 'kernt
 page-open-then = open
 page-press = Press
 page-running-pressing = Running pressing
+page-sensor-starting = the live sensor is starting; the first time this takes about a minute
 page-stale-since = No new reading since { $time }
 page-steam = Steam
 page-time-since-closing = Since closing

@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 
 from daq.records import PressEvent, PressEventKind
 from daq.store.records import StoredEstimate
-from tests.browser.conftest import ACROSS, CHANNELS, comes
+from tests.browser.conftest import ACROSS, CHANNELS, LAB, comes
 
 AHEAD = {
     "open_in_s": 11.0,
@@ -426,3 +426,66 @@ def test_machines_are_given_the_advice_the_page_shows(pressing):
     counted = "it.press === 'lab' && it.advice.verdict === 'open_in' && it.advice.open_latest_s > 10"  # from now
     item = comes(page, asked, f"(it) => {counted}")
     assert item["advice"]["open_latest_s"] <= 15.0
+
+
+@pytest.fixture
+def idle(served):
+    """A press without a panel whose recorder works; what its live sensor says of itself is put into the answer."""
+    server, feed, page = served
+    beats = {process: {"state": "running", "presses": []} for process in ("record", "sense")}
+    feed.store.append_estimates, feed.shares = (lambda *_: None), (2.0, 3.0, 4.0)
+    over = threading.Event()
+
+    def beat():
+        while not over.wait(0.5):
+            for process, status in beats.items():
+                feed.store.beat(process, status)
+
+    threads = [threading.Thread(target=beat), threading.Thread(target=feed.pressing, args=(60_000,))]
+    for thread in threads:
+        thread.start()
+    yield server, page, beats
+    feed.stop.set()
+    over.set()
+    for thread in threads:
+        thread.join(240)
+
+
+@pytest.mark.parametrize("view", ["#/wall", "#/presses"])
+def test_not_all_is_well_while_the_live_sensor_only_starts(idle, view):
+    server, page, beats = idle
+    beats["sense"] = {"state": "starting", "presses": []}
+    page.goto(server.url + "#/now")
+    starts = "the live sensor is starting; the first time this takes about a minute"
+    expect(page.locator("#alarms")).to_have_text(starts)
+    expect(page.locator("#alarms")).to_have_class("alarms calm")  # takes its time, and is no alarm
+    page.goto(server.url + view)
+    light = page.locator(".light")
+    expect(light).to_have_text(starts)
+    expect(light).to_have_class("light idle")
+    beats["sense"] = {"state": "running", "presses": []}
+    expect(light).to_have_text("all well")
+    expect(page.locator("#alarms")).to_be_empty()
+
+
+def test_an_alarm_of_one_press_is_not_shown_as_anothers(idle, served):
+    server, page, beats = idle
+    store = served[1].store
+    store.register_press("north", CHANNELS, LAB.read_text(encoding="utf-8"))
+    beats["sense"] = {"state": "running", "presses": [{"press": "north", "behind_scans": 9000}]}
+    page.goto(server.url + "#/presses")
+    expect(page.locator("#alarms")).to_contain_text("north")
+    page.goto(server.url + "#/wall/lab")
+    light = page.get_by_test_id("health")
+    expect(light).to_have_text("all well")
+    page.goto(server.url + "#/presses")
+    tile = page.locator(".press-tile", has_text="lab").locator(".light")
+    expect(tile).to_have_text("all well")
+    beats["record"] = {
+        **beats["record"],
+        "problem_codes": [{"code": "health-nightly-job-overdue", "arguments": {"hours": 60.0}}],
+    }
+    expect(tile).to_have_text("degraded")  # it is of all presses; above the tiles it stands in full
+    expect(tile).to_have_class("light bad")
+    page.goto(server.url + "#/wall/lab")
+    expect(light).to_contain_text("nightly job")

@@ -54,14 +54,23 @@ export const targetOf = (now) => (now.estimate?.limited ? null : now.target?.tem
 // The press's state as it may be shown: none that rests on old readings.
 export const stateOf = (now, stale) => (stale ? "unknown" : now.state);
 
+// What a live sensor that is not ready says of itself; the first time it takes about a minute.
+export const startingOf = (health) => (health.processes.some(({ alive, state }) => alive && state === "starting") ? text("page-sensor-starting") : "");
+
+// What is wrong for a press: an alarm that names it or, shorter in a tile, one that names none; not another press's.
+export function wrongOf({ alarms, alarms_said: said }, press, { tile = false } = {}) {
+  const i = said.findIndex((one) => (one.arguments?.press ?? press) === press);
+  return i < 0 ? "" : tile && !said[i].arguments?.press ? text("page-health-degraded") : inWords(said[i], alarms[i]);
+}
+
 // One light: green only where everything runs and what there is to say of the panel is known. For how long nothing was
 // read the answer says.
-export function showLight(light, { now, silent = null, wrong = "" }) {
+export function showLight(light, { now, silent = null, wrong = "", starting = "" }) {
   const { state, estimate } = now;
-  const known = state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known");
+  const known = !starting && (state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known"));
   const fault = silent !== null ? text("page-no-readings") : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
-  light.textContent = fault || text(known ? "page-health-ok" : "page-health-core-unknown");
+  light.textContent = fault || starting || text(known ? "page-health-ok" : "page-health-core-unknown");
 }
 
 // An estimate of the stream takes the place of the one before; what was missed and comes late is history.

@@ -1,8 +1,8 @@
 // All presses at once: one tile each with state, core, the one answer and what is wrong; thirty on one screen.
 import { get } from "../api.js";
 import { el } from "../dom.js";
-import { inWords, text } from "../words.js";
-import { showAnswer, showCore, showLight, stateOf } from "./answer.js";
+import { text } from "../words.js";
+import { showAnswer, showCore, showLight, startingOf, stateOf, wrongOf } from "./answer.js";
 
 export async function show(place) {
   const grid = el("div", { class: "presses", "data-testid": "presses" });
@@ -13,7 +13,7 @@ export async function show(place) {
     const received = performance.now();
     for (const now of items) {
       if (!tiles.has(now.press)) tiles.set(now.press, tile(now.press));
-      Object.assign(tiles.get(now.press), { now, received, wrong: health.alarms_said.find((one) => one.arguments?.press === now.press) });
+      Object.assign(tiles.get(now.press), { now, received, wrong: wrongOf(health, now.press, { tile: true }), starting: startingOf(health) });
     }
     if (grid.children.length !== tiles.size) grid.replaceChildren(...[...tiles.values()].map(({ node }) => node));
     tiles.forEach(draw);
@@ -38,7 +38,7 @@ function tile(press) {
 }
 
 // Old numbers are grey here, too, and press by press.
-function draw({ node, state, core, band, answer, light, now, received, wrong }) {
+function draw({ node, state, core, band, answer, light, now, received, wrong, starting }) {
   const filesOnly = !now.channels.length; // runs came as files, nothing records here: nothing is wrong and nothing is late
   if (filesOnly) {
     node.classList.add("stale");
@@ -55,5 +55,5 @@ function draw({ node, state, core, band, answer, light, now, received, wrong }) 
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate, { tile: true });
   showAnswer(answer, now, stale ? silent : null);
-  showLight(light, { now, silent: stale ? silent : null, wrong: wrong && inWords(wrong) });
+  showLight(light, { now, silent: stale ? silent : null, wrong, starting });
 }

@@ -1,8 +1,8 @@
 // The wall: core, the one answer, press state and one health light, to be read from four metres; nothing to press.
 import { get } from "../api.js";
 import { duration, el } from "../dom.js";
-import { inWords, text } from "../words.js";
-import { CoreChart, courseOf, showAnswer, showCore, showLight, stateOf, targetOf, take } from "./answer.js";
+import { text } from "../words.js";
+import { CoreChart, courseOf, showAnswer, showCore, showLight, startingOf, stateOf, targetOf, take, wrongOf } from "./answer.js";
 
 export async function show(place, context, [press]) {
   const wall = new Wall(place, context, press ?? context.press);
@@ -109,8 +109,6 @@ class Wall {
     this.state.className = `pill ${state}`;
     this.state.textContent = text(`page-state-${state}`);
     showAnswer(this.answer, this.now, stale ? silent : null);
-    const alarms = this.health?.alarms ?? [];
-    const wrong = this.health?.status === "ok" ? "" : inWords(this.health?.alarms_said[0], alarms[0]) || text("page-health-degraded");
-    showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong });
+    showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong: wrongOf(this.health, this.now.press), starting: startingOf(this.health) });
   }
 }
