@@ -239,14 +239,35 @@ def test_press_and_core_are_shown_in_one_state(pressing, served):
     expect(page.get_by_test_id("core")).to_have_text("–°C")
 
 
+CUT = """(facts) => [...facts.querySelectorAll('dt, dd')].flatMap(({ firstChild: words }) => {
+    const range = document.createRange();
+    return [...(words.data ?? '').matchAll(/[^\\s-]+/gu)].filter(({ index, 0: word }) => {
+        range.setStart(words, index);
+        range.setEnd(words, index + word.length);
+        return new Set([...range.getClientRects()].map((r) => Math.round(r.top))).size > 1;
+    }).map(([word]) => word);
+})"""
+"""Words that are cut in two by the end of a line."""
+
+
 @pytest.mark.parametrize("width", [375, 772, 1366, 1920])
-def test_no_number_beside_the_core_leaves_its_card(pressing, browser, monkeypatch, tmp_path, width):
+def test_no_number_beside_the_core_leaves_its_card_and_no_word_is_cut(
+    pressing, browser, monkeypatch, tmp_path, width
+):
     server, _ = pressing
-    for key, value in (("band_from", {"suspected": 0.5, "start": 0.39}), ("energy_kJ_m2", 414.0)):
+    for key, value in (
+        ("band_from", {"suspected": 0.5, "start": 0.39}),
+        ("energy_kJ_m2", 414.0),
+        ("limited", True),
+    ):
         monkeypatch.setitem(AHEAD, key, value)
     page = browser.new_page(viewport={"width": width, "height": 900}, locale="de-DE")  # the longest words
     page.goto(server.url + "#/now")
-    expect(page.locator(".facts")).to_contain_text("der Anfangs- und der Heizplattentemperatur")
+    facts = page.locator(".facts")
+    expect(facts).to_contain_text("den Temperaturen von Start und Heizplatten")
+    expect(facts).to_contain_text("Grenzen des Harzes, nicht 60\u00a0°C")
+    expect(page.locator(".bench")).to_be_hidden()  # fills with the target, which does not count here
+    assert facts.evaluate(CUT) == []
     page.screenshot(path=tmp_path / "now.png", full_page=True)
     page.wait_for_function("""() => {
         const card = document.querySelector('.hero'), inner = card.getBoundingClientRect();
@@ -254,6 +275,18 @@ def test_no_number_beside_the_core_leaves_its_card(pressing, browser, monkeypatc
         return [...card.querySelectorAll('dd, svg')].every((e) => e.getBoundingClientRect().right <= end + 1);
     }""")
     page.close()
+
+
+def test_the_faces_beside_the_next_panel_are_those_of_the_tiles(pressing):
+    """Faces gain 20 K a second while the press closes: what is asked for every two seconds was another truth."""
+    server, page = pressing
+    page.goto(server.url + "#/now")
+    expect(page.locator(".faces-now")).to_contain_text("°C above")
+    page.route("**/api/v1/press*", lambda route: route.abort())
+    was = float(page.locator(".faces-now").text_content().split()[3])
+    page.wait_for_function(
+        f"() => parseFloat(document.querySelector('.faces-now').textContent.split(' ')[3]) > {was + 1.0}"
+    )
 
 
 def test_what_stands_beside_the_core_is_of_the_last_estimate_too(pressing, served, monkeypatch):

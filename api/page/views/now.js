@@ -1,7 +1,7 @@
 // Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
 import { announce } from "../announce.js";
 import { get } from "../api.js";
-import { COLOURS, groupName, roleOf, standing } from "../channels.js";
+import { COLOURS, facesOf, groupName, roleOf, standing } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
@@ -96,7 +96,7 @@ class LivePress {
           el("div", {}, this.core, this.band),
           this.answer,
           this.warning,
-          el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
+          this.bench = el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
           el("div", { class: "beside" }, this.sketch, this.list),
           el("p", { class: "small" }, el("a", { href: "#/wall" }, text("page-wall")))),
         this.charts = el("section", { class: "card", "aria-label": text("page-running-pressing") },
@@ -132,6 +132,7 @@ class LivePress {
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
     this.sketch.replaceChildren(sketch(now));
     const { core_C: core } = believed(now.estimate);
+    this.bench.hidden = deciding === null; // a bar that never fills
     const share = deciding !== null && now.state !== "idle" && core ? (core - 20) / (deciding - 20) : 0;
     this.meter.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
   }
@@ -273,6 +274,7 @@ class LivePress {
       }
     }
     for (const channel of this.now.channels) channel.utc = data.utc;
+    this.now.faces = facesOf(this.now); // else sketch and next panel would stand two seconds behind the tiles
     this.hear(0);
     this.soon("tiles");
     if (data.run !== this.shown || !this.rows || data.time_s === null) return;
