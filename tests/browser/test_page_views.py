@@ -764,6 +764,14 @@ def test_metadata_are_german_several_are_added_at_once_and_the_name_stays(plant)
     card.get_by_role("button", name="Speichern").click()
     for name in ("setting.speed_mm_s", "setting.batch"):
         expect(card.get_by_role("row", name=f"{name} 2,5")).to_be_visible()
+    marking = {"Authorization": f"Bearer {token}"}
+    mark = f"{address}api/v1/runs/campaign-1/verdict"
+    assert page.request.put(mark, data={"verdict": "scrap"}, headers=marking).ok
+    page.reload()
+    expect(card.get_by_role("row", name="Platte wurde")).to_contain_text("Ausschuss")
+    card.locator("summary").click()
+    expect(card.locator(".changes")).to_contain_text("panel.verdict: – → Ausschuss")
+    assert page.request.put(mark, data={"verdict": None}, headers=marking).ok
     expect(page.get_by_test_id("simulation")).to_contain_text("Platte oben")
 
 
@@ -1234,6 +1242,7 @@ def test_a_runs_page_asks_what_if_only_when_that_is_unfolded(plant, browser):
     card.locator("#what-if-platen_temperature_C").fill("170,5")
     card.locator("form button").click()
     expect(card.locator("table").first).to_contain_text("Mit diesen Einstellungen")
+    expect(card.locator("table").first).to_contain_text("Wie es war, simuliert")  # live it was another number
     assert asked == [f"{address}api/v1/runs/campaign-1/what-if{q}" for q in ("", "?platen_temperature_C=170.5")]
     page.wait_for_function("document.documentElement.scrollWidth <= 375")
     page.context.close()

@@ -2,6 +2,7 @@
 import { patch } from "../api.js";
 import { clock, el, table, written } from "../dom.js";
 import { numberName, text } from "../words.js";
+import { VERDICTS } from "./panel.js";
 
 export function metadataCard(run, path) {
   const card = el("section", { class: "card", "data-testid": "metadata" });
@@ -9,7 +10,7 @@ export function metadataCard(run, path) {
     const change = el("button", { type: "button", class: "button", onclick: edit }, text("page-change"));
     card.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-metadata")), change),
       table(text("page-metadata"), [{ text: text("page-name") }, { text: text("page-value"), class: "right" }],
-        Object.entries(run.header).filter(([name]) => name !== "run").map(([name, value]) => [called(name), el("span", { class: "num" }, shown(value))])),
+        Object.entries(run.header).filter(([name]) => name !== "run").map(([name, value]) => [called(name), el("span", { class: "num" }, inPlainWords(name, value))])),
       ...(run.changes.length ? [historyOf(run.changes)] : []));
     return change;
   };
@@ -20,16 +21,19 @@ export function metadataCard(run, path) {
 
 // A header key in words where it has some, with the key that files and searches know it by.
 const called = (key) => {
-  const words = numberName(key);
+  const words = key === "panel.verdict" ? text("page-panel-became") : numberName(key);
   return words === key ? key : el("div", {}, words, el("div", { class: "faint small" }, key));
 };
 
 const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "number" ? written(value) : typeof value === "object" ? JSON.stringify(value) : String(value));
 
+// What a panel became is marked by a button, and read as that button's words.
+const inPlainWords = (key, value) => (key === "panel.verdict" && VERDICTS.includes(value) ? text(`page-panel-${value}`) : shown(value));
+
 function historyOf(changes) {
   return el("details", {}, el("summary", { class: "small" }, `${text("page-changes")} (${changes.length})`),
     el("ul", { class: "small changes" }, [...changes].reverse().map((c) =>
-      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · ${c.who}`), el("br"), `${c.field === "remark" ? text("page-remark") : c.field}: ${shown(c.before)} → ${shown(c.after)}`))));
+      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · ${c.who}`), el("br"), `${c.field === "remark" ? text("page-remark") : c.field}: ${inPlainWords(c.field, c.before)} → ${inPlainWords(c.field, c.after)}`))));
 }
 
 function editor(run, path, cancel, done) {

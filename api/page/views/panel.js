@@ -4,7 +4,7 @@ import { get, put } from "../api.js";
 import { clock, el, number, written } from "../dom.js";
 import { inFieldWords, text } from "../words.js";
 
-const VERDICTS = ["good", "blister", "undercured", "scrap"];
+export const VERDICTS = ["good", "blister", "undercured", "scrap"];
 const FIELDS = [["panel.material", "page-material", ""], ["panel.thickness_mm", "page-thickness", "mm"], ["panel.moisture_percent", "page-moisture", "%"],
   ["panel.initial_temperature_C", "page-start-temperature", "°C"], ["setting.core_target_C", "page-target", "°C"]];
 
