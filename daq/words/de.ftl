@@ -1341,7 +1341,7 @@ figure-channels = alle Fühler
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K, gemeinsam
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
-figure-coefficient-unknown = { $name } ist nicht bekannt
+figure-coefficient-unknown = { $name } [W/m²K] ist nicht bekannt
 figure-core = Kern, { $model }
 figure-core-band = sein 95-%-Band
 figure-core-by-fit = Kern nach dem angepassten Modell

@@ -1325,7 +1325,7 @@ figure-channels = all sensors
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K, shared
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
-figure-coefficient-unknown = { $name } is not known
+figure-coefficient-unknown = { $name } [W/m²K] is not known
 figure-core = core, { $model }
 figure-core-band = its 95 % band
 figure-core-by-fit = core by the fitted model

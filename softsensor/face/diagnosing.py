@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
@@ -99,7 +99,11 @@ class DiagnosisResult:
 
 
 def diagnose(
-    runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: str | Sequence[str] | None = None
+    runs: AnyRun | Sequence[AnyRun],
+    press: AnyPress,
+    *,
+    effects: str | Sequence[str] | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> DiagnosisResult:
     r"""Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
 
@@ -121,6 +125,8 @@ def diagnose(
         One run or several, as files, tables or `Run`. [°C, s]
     effects
         Cause or causes to look for, by name; the whole catalogue without.
+    progress
+        Called with what is being done and the share done, from 0 to 1.
 
     Raises
     ------
@@ -144,4 +150,4 @@ def diagnose(
     """
     described = read_press(press)
     wanted = None if effects is None else names_of(effects)
-    return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), effects=wanted))
+    return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), progress, wanted))

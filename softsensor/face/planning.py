@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -93,6 +93,7 @@ def plan(
     press: AnyPress,
     *,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> PlanResult:
     """Say which pressings are worth most next, and what each would settle.
 
@@ -103,6 +104,8 @@ def plan(
     ranges
         What can be set and how far, by name (``thickness_mm``, ``platen_temperature_C``, ``press_time_s``,
         ``start_temperature_C``, ``waiting_s``, ``pressure_N_cm2``); the runs' own, modestly widened, without.
+    progress
+        Called with what is being done and the share of it done, from 0 to 1: of the diagnosis, then of the plan.
 
     Raises
     ------
@@ -128,5 +131,5 @@ def plan(
     >>> bool((table.xs("best", level="pressing")["worth_nats"] > 0.0).all())
     True
     """
-    found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
-    return PlanResult(plan_after(read_press(press), found.diagnosis, keys_of(ranges, "given-no-ranges")))
+    found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press, progress=progress)
+    return PlanResult(plan_after(read_press(press), found.diagnosis, keys_of(ranges, "given-no-ranges"), progress))

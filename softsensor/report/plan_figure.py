@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from functools import partial
 from typing import TYPE_CHECKING
@@ -34,7 +35,7 @@ def plan_figure(found: PressingPlan, language: str = ENGLISH) -> Figure:
                 label = put(say(f"figure-plan-{kind.replace('_', '-')}"))
                 places, worth = zip(*bars, strict=True)
                 ax.barh(places, worth, height=bar, color=COLOURS[number], label=label)
-        names = [textwrap.fill(put(point_message(advice.point)), LINE // 3) for advice in found.points]
+        names = [_label(put(point_message(advice.point))) for advice in found.points]
         ax.set_yticks(range(len(names)), names)
         ax.invert_yaxis()
         _scale_worth(ax)
@@ -43,6 +44,11 @@ def plan_figure(found: PressingPlan, language: str = ENGLISH) -> Figure:
         if names:
             figure.legend(loc="outside lower center", ncols=len(kinds), frameon=False)
     return figure
+
+
+def _label(words: str) -> str:
+    """Return words in short lines, none of which ends between a number and its unit."""
+    return textwrap.fill(re.sub(r"(?<=\d) (?=[K%])", "\N{NO-BREAK SPACE}", words), LINE // 3)
 
 
 def _scale_worth(ax: Axes) -> None:

@@ -581,7 +581,7 @@ def test_a_fit_of_one_run_tells_one_number_a_coefficient_and_no_scatter():
     assert {c.identifiable for c in run.coefficients.values()} == {True, False}
     for name, found in run.coefficients.items():
         if not found.identifiable:
-            assert (cells[name], titles[name]) == ("–", f"{name} is not known")
+            assert (cells[name], titles[name]) == ("–", f"{name} [W/m²K] is not known")
             continue
         assert titles[name] == f"{name} = {float(cells[name]):,g} W/m²K"
         half = (found.ci95[1] - found.ci95[0]) / 2
@@ -839,12 +839,33 @@ def test_every_public_result_is_a_table_a_figure_a_screen_a_notebooks_view_and_j
             assert not re.search(r"\b(nan|none)\b", shown, re.I), (name, shown)
         assert "<p>" in result._repr_html_() or "<table" in result._repr_html_()
         assert json.loads(result.to_json(), parse_constant=no_number)
+    assert "<table" in results["advise"]._repr_html_()
+
+
+def test_diagnosis_and_plan_report_how_far_they_are():
+    """From Python as at the terminal: a notebook has half a minute of silence otherwise."""
+    seen = []
+    runs = [daq.frame_of(softsensor.read_run(path)).iloc[::4] for path in SAMPLES[5:8]]
+    found = softsensor.diagnose(
+        runs, LAB, effects="edge_loss", progress=lambda what, share: seen.append((what, share))
+    )
+    shares = [share for _, share in seen]
+    assert len(shares) >= 3
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] <= shares[-1] <= 1.0
+    held = {"thickness_mm": 16, "platen_temperature_C": 200, "start_temperature_C": 20, "waiting_s": 20}
+    ranges = {name: (value, value) for name, value in held.items()} | {"press_time_s": (30, 60)}
+    before = len(seen)
+    softsensor.plan(found, LAB, ranges=ranges, progress=lambda what, share: seen.append((what, share)))
+    assert len(seen) > before
 
 
 def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):
     (ax,) = results["plan"].plot()
     ax.figure.canvas.draw()
-    names = [label.get_text().replace("\n", " ") for label in ax.get_yticklabels()]
+    labels = [label.get_text() for label in ax.get_yticklabels()]
+    assert [line for label in labels for line in label.splitlines() if re.match("[K%]", line)] == []
+    names = [re.sub(r"\s", " ", label) for label in labels]
     assert names == [str(point_message(advice.point)) for advice in results["plan"].planned.points]
     (legend,) = ax.figure.legends
     assert not legend.get_window_extent().overlaps(ax.get_window_extent())
