@@ -91,12 +91,11 @@ export function table(caption, heads, rows, options = {}) {
       }
       return node;
     }))));
-  if (options.cards) new ResizeObserver(() => stack(holder)).observe(holder);
-  requestAnimationFrame(() => { // what scrolls must be reachable by the keyboard
-    if (holder.scrollWidth > holder.clientWidth) {
-      for (const [key, value] of Object.entries({ tabindex: "0", role: "region", "aria-label": caption })) holder.setAttribute(key, value);
-    }
-  });
+  new ResizeObserver(() => {
+    if (options.cards) stack(holder);
+    const scrolls = holder.scrollWidth > holder.clientWidth || holder.scrollHeight > holder.clientHeight; // then keys must reach it
+    for (const [key, value] of Object.entries({ tabindex: "0", role: "region", "aria-label": caption })) if (scrolls) holder.setAttribute(key, value); else holder.removeAttribute(key);
+  }).observe(holder);
   return holder;
 }
 

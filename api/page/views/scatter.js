@@ -24,21 +24,21 @@ export async function showScatter(place, context, filters) {
   } while (cursor && runs.length < MOST);
   const axes = Object.fromEntries(AXES.map((axis) => [axis, context.query.get(axis)]));
   const query = (more) => new URLSearchParams(Object.entries({ ...filter, ...more }).filter(([, value]) => value)).toString();
-  const card = scatter(runs, axes, () => history.replaceState(null, "", `#/runs/scatter?${query(axes)}`));
+  const card = scatter(runs, axes, () => history.replaceState(null, "", `#/runs/scatter?${query(axes)}`), "h1");
   card.querySelector(".head > .row").append(el("a", { class: "button", href: `#/runs?${query()}` }, text("page-back")));
   if (cursor) card.append(el("p", { class: "small faint" }, text("page-scatter-newest", { count: runs.length })));
   place.append(card);
   return null;
 }
 
-export function scatter(runs, axes = {}, keep = () => {}) {
+export function scatter(runs, axes = {}, keep = () => {}, heading = "h2") {
   const names = [...new Set(runs.flatMap(({ numbers }) => Object.keys(numbers).filter((name) => numbers[name] !== null)))].sort();
   const usual = { x: ["press_time_s", names[0]], y: ["core_at_opening_C", names.at(-1)] };
   for (const axis of AXES) axes[axis] = [axes[axis], ...usual[axis]].find((name) => names.includes(name));
   const holder = el("div", {}), counted = el("p", { class: "small faint", role: "status" });
   const choose = (axis, label) => el("label", { class: "row small" }, el("span", { class: "faint" }, label),
     el("select", { onchange: (event) => { axes[axis] = event.target.value; keep(); draw(); } }, names.map((name) => el("option", { value: name, selected: name === axes[axis] }, numberName(name)))));
-  const card = el("section", { class: "card", "data-testid": "scatter" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-scatter")),
+  const card = el("section", { class: "card", "data-testid": "scatter" }, el("div", { class: "head" }, el(heading, { style: "margin:0" }, text("page-scatter")),
     el("div", { class: "row" }, choose("y", text("page-scatter-up")), choose("x", text("page-scatter-right")))), holder, ...(names.length ? [counted] : []));
   let chart = null;
   function draw() {
