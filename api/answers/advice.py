@@ -119,6 +119,8 @@ def _open_in(
     whole = {"seconds": math.ceil(at)}  # nobody opens too early by a rounded number, and none is 0
     if low is None:
         message = say("advice-open-in", **whole)
+    elif high is None and round(low) == 0:  # two bounds that bound nothing
+        message = say("advice-open-in-or-later", **whole)
     elif high is None:
         message = say("advice-open-in-at-least", **whole, low=low)
     else:

@@ -1619,6 +1619,7 @@ advice-old = die letzte Vorhersage ist { SPAN($seconds) } alt
 advice-open-in = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-open-in-at-least = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } oder später)
 advice-open-in-between = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) })
+advice-open-in-or-later = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s (oder später)
 advice-open-now = JETZT ÖFFNEN
 advice-opened = geöffnet
 advice-opened-peak = geöffnet, der Kern erreicht höchstens { NUMBER($peak_C, maximumFractionDigits: 0) } °C

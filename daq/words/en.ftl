@@ -1609,6 +1609,7 @@ advice-old = the last forecast is { SPAN($seconds) } old
 advice-open-in = open in { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-open-in-at-least = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } or later)
 advice-open-in-between = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) })
+advice-open-in-or-later = open in { NUMBER($seconds, maximumFractionDigits: 0) } s (or later)
 advice-open-now = OPEN NOW
 advice-opened = opened
 advice-opened-peak = opened, the core peaks at { NUMBER($peak_C, maximumFractionDigits: 0) } °C

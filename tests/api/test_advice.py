@@ -127,7 +127,7 @@ def test_with_a_resin_its_limits_alone_decide(beside, verdict, sentence):
 
 def test_nothing_is_to_be_opened_in_no_time_while_a_limit_does_not_hold():
     advice = advice_of(estimate(**CURED, limits_in_s=0.2, limits_earliest_s=0.0), None)
-    assert (advice.open_in_s, advice.sentence) == (0.5, "open in 1 s (0 or later)")
+    assert (advice.open_in_s, advice.sentence) == (0.5, "open in 1 s (or later)")
 
 
 def test_bounds_of_limits_count_from_now_too():
