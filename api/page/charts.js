@@ -63,7 +63,7 @@ export class TimeChart {
     return {
       width: Math.max(this.holder.clientWidth, 200),
       height: this.height,
-      padding: [10, 12, 0, 0],
+      padding: [10, 12 * larger, 0, 0], // room for half a number at the right end
       cursor: { y: false, points: { size: 6 }, drag: { x: true, y: false }, sync: this.sync ? { key: this.sync } : undefined },
       legend: { show: false },
       scales: {

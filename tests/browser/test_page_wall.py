@@ -185,6 +185,7 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     }).map((e) => e.className)"""
     page.wait_for_function(f"({green})().length === 0")
     expect(page.locator(".faces-now:visible")).to_have_count(0)  # "now" was then
+    expect(page.locator(".hero svg:visible")).to_have_count(0)  # nobody knows where the press stands
     comes(page, written, f"(it) => it['Target 60 °C'] === {of.format('faint')}")
     comes(page, written, f"(it) => it.open !== {of.format('accent')}")  # what was foreseen then
     server.go_on()
@@ -404,6 +405,19 @@ def test_the_letters_of_the_walls_chart_grow_with_the_screen(pressing, browser, 
     smallest = page.evaluate("Math.min(...window.letters)")
     page.close()
     assert smallest >= least
+
+
+def test_a_number_of_three_digits_fits_at_the_right_end_of_the_walls_chart(pressing, browser):
+    server, _ = pressing
+    page = browser.new_page(viewport={"width": 1920, "height": 1080}, bypass_csp=True)
+    page.add_init_script(WRITTEN)
+    page.goto(server.url + "#/wall")
+    page.wait_for_function("window.letters.length > 20")
+    right, room = "getBoundingClientRect().right", "document.querySelector('.chart canvas')"
+    room = page.evaluate(f"{room}.{right} - document.querySelector('.chart .u-over').{right}")
+    letters = page.evaluate("Math.max(...window.letters)")
+    page.close()
+    assert room >= 1.5 * 0.55 * letters  # half of it; a digit is some 0.55 of its size wide
 
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1280, 860), (1024, 768), (768, 1024), (375, 812)])
