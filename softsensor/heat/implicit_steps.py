@@ -27,7 +27,6 @@ from softsensor.heat.step_terms import (
     DG,
     DIAG,
     DLOSS,
-    DROWS,
     DSLOPE,
     DSRC,
     DSTAR,
@@ -35,13 +34,11 @@ from softsensor.heat.step_terms import (
     GAMMA,
     LOSS,
     RATE,
-    ROWS,
     RSLOPE,
     SLOPE,
     SRC,
     STAR,
     Array,
-    Coefficients,
     D,
     Drive,
     G,
@@ -49,7 +46,9 @@ from softsensor.heat.step_terms import (
     Stack,
     State,
     Tangents,
+    any_of,
     coefficients,
+    room,
     switched,
 )
 
@@ -105,6 +104,14 @@ class Work(NamedTuple):
     """Cells whose coefficients any parameter changes (n)."""
 
 
+class Outside(NamedTuple):
+    """What lies beyond the stack, as in `Stack`."""
+
+    ambient: float
+    measured: NDArray[np.bool_]
+    flux: Array
+
+
 class Stage(NamedTuple):
     """What a stage of a step does with temperatures, for its tangents."""
 
@@ -123,11 +130,9 @@ def march(stack, tan, drive, state, record, nonlinear):
     """Take all steps, and record before the first and after each."""
     p, n = state.s.shape
     r = stack.heat.shape[0]
-    # empty where the first step fills everything: most calls of the live sensor are for one step
-    co = Coefficients(
-        np.zeros((ROWS, n + 1)), np.empty((DROWS, p, n + 1)), np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
-    )
+    co = room(r, p, n)
     work = Work(np.zeros((8, n)), np.empty((2, p, n)), np.zeros(n, np.int64))
+    outside = Outside(stack.ambient, stack.measured, stack.flux)
     steps = drive.h.shape[0]
     step = np.int64(0)  # a plain 0 would be a type of its own, and all that takes it be compiled twice
     _observe(record, state, step)
@@ -142,7 +147,7 @@ def march(stack, tan, drive, state, record, nonlinear):
         if not nonlinear:
             last = _same(drive, step)
             count = _touched(co.dw, work.busy)
-        _advance(stack, drive, state, record, co, work, (step, last, count))
+        _advance(outside, drive, state, record, co, work, (step, last, count))
         if r > 0:
             _convert(stack.heat, state, co, work, drive.h[step])
         state.clock[0] = drive.h[last - 1]
@@ -206,10 +211,10 @@ def _expect(state, h, co):
 
 
 @compiled(inner=True, fastmath=FAST)
-def _advance(stack, drive, state, record, co, work, span):
+def _advance(outside, drive, state, record, co, work, span):
     """Take steps with the same coefficients; `span`: first step, the one after the last, how many are busy."""
     step, last, count = span
-    boundary, d_boundary, ambient = drive.boundary, drive.d_boundary, stack.ambient
+    boundary, d_boundary, ambient = drive.boundary, drive.d_boundary, outside.ambient
     t, t_before, s, s_before = state.t, state.t_before, state.s, state.s_before
     w, dw, scratch, d_scratch, busy = co.w, co.dw, work.scratch, work.d_scratch, work.busy[:count]
     p, n = s.shape
@@ -233,8 +238,8 @@ def _advance(stack, drive, state, record, co, work, span):
                 at = 0.0 if stage == 0 else (GAMMA if stage == 1 else 1.0)
                 ends[end, stage] = (
                     boundary[k, end, 0] + (at - 0.5) * boundary[k, end, 1]
-                    if stack.measured[end]
-                    else stack.flux[end, 2]
+                    if outside.measured[end]
+                    else outside.flux[end, 2]
                 )
         # the boundaries as sources, then both stages of the temperatures
         first_b, first_t = g[0] * (ends[0, 0] + ends[0, 1]), g[n] * (ends[1, 0] + ends[1, 1])
@@ -291,7 +296,7 @@ def _advance(stack, drive, state, record, co, work, span):
 # twice as long. `inv` holds the inverse pivots, `back` what a cell passes on to its neighbour towards the middle.
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _factor(cap, diag, g, dh, inv, back):
     """Factor C + dh K by elimination without pivoting (diagonally dominant)."""
     n = inv.shape[0]
@@ -313,7 +318,7 @@ def _factor(cap, diag, g, dh, inv, back):
     inv[mid] = 1.0 / (cap[mid] + dh * diag[mid] - low * dh * g[mid] - high * dh * g[mid + 1])
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _solve(inv, back, x):
     """Overwrite the right-hand side x (n) by the solution."""
     n = x.shape[0]
@@ -345,7 +350,7 @@ def _solve(inv, back, x):
         x[j] = high
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _solve_many(inv, back, x):
     """Overwrite right-hand sides x (P, n), P a multiple of four, by the solutions.
 
@@ -471,7 +476,7 @@ def _convert(heat, state, co, work, h):
         done, d_done = state.done[r], state.s_done[r]
         for i in range(n):
             done[i] += h * (value[i] + slope[i] * (_W * (t[i] + tg[i]) + D * tn[i]))
-        if not heat[r].any():
+        if not any_of(heat[r]):
             continue
         for q in range(p):
             dvalue, dslope, dq = drate[r, RATE, q], drate[r, RSLOPE, q], d_done[q]
@@ -533,10 +538,7 @@ def rest(stack, tan, drive, held, state):
     Returns -1, or the cell that is tied to nothing, or n if the search did not settle.
     """
     p, n = state.s.shape
-    r = stack.heat.shape[0]
-    co = Coefficients(
-        np.zeros((ROWS, n + 1)), np.zeros((DROWS, p, n + 1)), np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
-    )
+    co = room(stack.heat.shape[0], p, n)
     w, dw = co.w, co.dw
     x, factors, outside = np.zeros(n), np.zeros((2, n)), np.zeros(2)
     _copy(held.t, held.d_t, state.t, state.s)

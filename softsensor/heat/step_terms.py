@@ -198,6 +198,33 @@ class Property(NamedTuple):
     d_slope: Array
 
 
+class Reaction(NamedTuple):
+    """What one conversion releases, by what law, and how far it is; as in `Stack`, `Tangents` and `State`."""
+
+    heat: Array
+    law: Array
+    d_heat: Array
+    d_law: Array
+    done: Array
+    d_done: Array
+
+
+@compiled(inner=True)
+def room(r, p, n):
+    """Return room for coefficients; empty where `coefficients` fills everything."""
+    rate, drate = np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
+    return Coefficients(np.zeros((ROWS, n + 1)), np.empty((DROWS, p, n + 1)), rate, drate)
+
+
+@compiled(inner=True)
+def any_of(values):
+    """Whether any of a vector differs from 0; Numba's own takes three times as long to compile."""
+    found = False
+    for i in range(values.shape[0]):
+        found = found or values[i] != 0.0
+    return found
+
+
 @compiled(inner=True)
 def _table(x, y, t):
     """Interpolate a table at t, constant beyond its ends; return value and slope."""
@@ -276,12 +303,12 @@ def _bend(bends, t):
 
 
 @compiled(inner=True)
-def bend_conductivity(stack, d_bends, co):
+def bend_conductivity(wet, bends, d_bends, co):
     """Multiply the panel's conductivity by the free function of its temperature."""
     w, dw = co.w, co.dw
-    for i in range(stack.dx.shape[0]):
-        if stack.wet[i]:
-            j, u, log, slope = _bend(stack.bends[0], w[STAR, i])
+    for i in range(wet.shape[0]):
+        if wet[i]:
+            j, u, log, slope = _bend(bends, w[STAR, i])
             f, before = np.exp(log), w[COND, i]
             w[COND, i] = f * before
             for q in range(dw.shape[1]):
@@ -356,14 +383,14 @@ def contacts(stack, tan, drive, step, co):
             dloss[q, i] = 0.0
     h = np.empty(3)
     dh = np.empty((3, p))
-    radiates = emissivity != 0.0 or d_emissivity.any()
+    radiates = emissivity != 0.0 or any_of(d_emissivity)
     for m in range(stack.interface.shape[0]):
         j = stack.interface[m]
         _contact_values(stack.contact[m], tan.contact[m], drive, (step, m), h, dh)
         if stack.bends.shape[1] > 0:
             _bend_contact(stack, tan, drive, (step, m), co, h, dh)
         if j == 0 or j == n:
-            _end(stack, tan, co, m, h, dh)
+            _end(stack, tan.flux, co, m, h, dh)
             continue
         if stack.parts[m] and radiates:
             share, a, b = weight[1], star[j - 1] + ZERO_C, star[j] + ZERO_C
@@ -428,13 +455,13 @@ def _inner(dx, co, j, h, dh):
 
 
 @compiled(inner=True)
-def _end(stack, tan, co, m, h, dh):
+def _end(stack, d_flux, co, m, h, dh):
     """Contact m at an end of the stack, h (3) and dh (3, P) as in `_contact_values`."""
     end = 0 if stack.interface[m] == 0 else 1
     if stack.measured[end]:
         _measured_end(stack.dx, co, end, h, dh)
     else:
-        _surface(stack, tan.flux[end], co, m, h, dh)
+        _surface(stack, d_flux[end], co, m, h, dh)
 
 
 @compiled(inner=True)
@@ -500,9 +527,9 @@ def _surface(stack, d_flux, co, m, h, dh):
 
 
 @compiled(inner=True)
-def exchange_sources(stack, d_rate, co):
+def exchange_sources(dx, ambient, rate, d_rate, co):
     """Start the sources with the volumetric exchange with ambient."""
-    w, dw, dx, rate, ambient = co.w, co.dw, stack.dx, stack.exchange, stack.ambient
+    w, dw = co.w, co.dw
     n = dx.shape[0]
     for i in range(n):
         w[SRC, i] = rate[i] * dx[i] * ambient
@@ -515,15 +542,17 @@ def exchange_sources(stack, d_rate, co):
 
 
 @compiled(inner=True)
-def closed_source(stack, tan, drive, step, k, co):
-    """Add the heat of source k, which the panel releases in the closed press by itself."""
-    dx, source, d_source = stack.dx, stack.source[k], tan.source[k]
-    weight, at = drive.weight[step, 2], stack.interface.shape[0] + k
-    course = drive.factor[step, at]
+def closed_source(dx, source, d_source, drive, at, co):
+    """Add the heat of a source (n), which the panel releases in the closed press by itself.
+
+    `at`: step and number of the source's factor.
+    """
+    step, k = at
+    weight, course = drive.weight[step, 2], drive.factor[step, k]
     for i in range(dx.shape[0]):
         co.w[SRC, i] += weight * course * source[i] * dx[i]
     for q in range(co.dw.shape[1]):
-        change = drive.d_weight[step, 2, q] * course + weight * drive.d_factor[step, at, q]
+        change = drive.d_weight[step, 2, q] * course + weight * drive.d_factor[step, k, q]
         for i in range(dx.shape[0]):
             co.dw[DSRC, q, i] += dx[i] * (change * source[i] + weight * course * d_source[q, i])
 
@@ -555,7 +584,7 @@ def active_stretches(heat, d_heat, ends):
 
 
 @compiled(inner=True)
-def conversion(stack, tan, state, r, h, co):
+def conversion(dx, reaction, h, r, co):
     """Add the heat of conversion r, dZ/dt = (1 - Z) rate(T), taken as the mean of a step of length h.
 
     With the rate frozen over the step its mean is (1 - Z) (1 - exp(-h rate)) / h, linear in T about `star`;
@@ -563,8 +592,7 @@ def conversion(stack, tan, state, r, h, co):
     the step before. Of one without heat only the tangents of its heat are filled: no other acts on anything.
     """
     w, dw, rate, drate = co.w, co.dw, co.rate[r], co.drate[r]
-    dx, heat, law, done = stack.dx, stack.heat[r], stack.law[r], state.done[r]
-    d_heat, d_law, d_done = tan.heat[r], tan.law[r], state.s_done[r]
+    heat, law, d_heat, d_law, done, d_done = reaction
     n, p = dx.shape[0], dw.shape[1]
     star, value, slope = w[STAR], rate[RATE], rate[RSLOPE]
     ends = np.empty((n, 2), np.uint64)  # an index that cannot be negative vectorises
@@ -595,7 +623,7 @@ def conversion(stack, tan, state, r, h, co):
             for a in range(3):
                 by_law[a, i] = left * kept * first[2 + a]
                 by_law[3 + a, i] = stiff * left * kept * (second[1 + a] - h * first[1] * first[2 + a])
-    if not heat.any():
+    if not any_of(heat):
         for q in range(p):
             dh, dsrc, dk = d_heat[q], dw[DSRC, q], dw[DSLOPE, q]
             for k in range(count):
@@ -681,7 +709,7 @@ def coefficients(stack, tan, drive, step, state, co):
     properties(np.ones(stack.dx.shape[0]), conductivity, w[STAR], dw[DSTAR], w[COND], dw[DCOND])
     properties(stack.dx, capacity, w[STAR], dw[DSTAR], w[CAP], dw[DCAP])
     if stack.bends.shape[1] > 0:
-        bend_conductivity(stack, tan.bends[0], co)
+        bend_conductivity(stack.wet, stack.bends[0], tan.bends[0], co)
     joints(stack.dx, stack.measured, co)
     switched(stack, tan, drive, step, state, co)
 
@@ -691,13 +719,14 @@ def switched(stack, tan, drive, step, state, co):
     """Fill what changes with the press's state: contacts, sources and the diagonal."""
     w, weight, d_weight = co.w, drive.weight[step], drive.d_weight[step]
     n, p = stack.dx.shape[0], co.dw.shape[1]
-    exchange_sources(stack, tan.exchange, co)
+    exchange_sources(stack.dx, stack.ambient, stack.exchange, tan.exchange, co)
     for k in range(stack.source.shape[0]):
-        closed_source(stack, tan, drive, step, k, co)
+        closed_source(stack.dx, stack.source[k], tan.source[k], drive, (step, stack.interface.shape[0] + k), co)
     contacts(stack, tan, drive, step, co)
     for r in range(stack.heat.shape[0]):
-        conversion(stack, tan, state, r, drive.h[step], co)
-    if stack.convection != 0.0 or tan.convection.any():
+        reaction = Reaction(stack.heat[r], stack.law[r], tan.heat[r], tan.law[r], state.done[r], state.s_done[r])
+        conversion(stack.dx, reaction, drive.h[step], r, co)
+    if stack.convection != 0.0 or any_of(tan.convection):
         share = weight[2]
         d_factor = np.empty(p)
         for q in range(p):

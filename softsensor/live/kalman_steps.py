@@ -70,7 +70,7 @@ def predict_biases(estimate, first, keep, variance):
         P[a, a] += variance * (1.0 - keep * keep)
 
 
-@compiled(fastmath=True)
+@compiled(inner=True, fastmath=True)
 def kalman_update(estimate, h, innovation, R, gate):
     """Correct by one reading; beyond `gate` standard deviations it loses weight, beyond twice all.
 
@@ -122,17 +122,18 @@ def kalman_update(estimate, h, innovation, R, gate):
 
 
 @compiled(inner=True)
-def expected_reading(model, before, estimate, face, share, h):
+def expected_reading(chain, before, estimate, face, share, h):
     """Return what a face should read in the mean of a block, and fill its derivative `h` by the states (N). [°C]
 
     `before` is the measuring chain at the block's begin: readings (M) and derivatives (M, Q). `share` is the
     readings' mean time in the block.
     """
     read_before, d_before = before
-    x, at, chain = estimate.mean, estimate.at, model.chain
+    x, at = estimate.mean, estimate.at
     m, p, a, u = chain.read.shape[0], at.shape[0], face, share
     value = u * chain.read[a] + (1.0 - u) * read_before[a]
-    h[:] = 0.0
+    for q in range(h.shape[0]):
+        h[q] = 0.0
     for q in range(p):
         h[q] = u * chain.d_read[a, q] + (1.0 - u) * d_before[a, q]
         value += h[q] * (x[q] - at[q])
@@ -146,7 +147,7 @@ def expected_reading(model, before, estimate, face, share, h):
 
 
 @compiled(inner=True)
-def update_by_faces(model, before, estimate, blocks, k, score):
+def update_by_faces(chain, before, estimate, blocks, k, score):
     """Correct by what the faces read in block `k`; write into `score` (4) how well that was expected.
 
     The score: log-likelihood, sum of squared normalised innovations, number of readings, and the logarithm of how
@@ -155,7 +156,8 @@ def update_by_faces(model, before, estimate, blocks, k, score):
     level, elapsed = blocks.level[k], blocks.span[k, 1] - blocks.span[k, 0]
     m = level.shape[0]
     h = np.zeros(estimate.mean.shape[0])
-    score[:] = 0.0
+    for part in range(score.shape[0]):
+        score[part] = 0.0
     coldest = -1
     for a in range(m):
         if math.isfinite(level[a]) and (coldest < 0 or level[a] < level[coldest]):
@@ -163,10 +165,10 @@ def update_by_faces(model, before, estimate, blocks, k, score):
     for a in range(m):
         if not math.isfinite(level[a]):
             continue
-        value = expected_reading(model, before, estimate, a, blocks.moment[k, a], h)
+        value = expected_reading(chain, before, estimate, a, blocks.moment[k, a], h)
         if elapsed <= 0.0 and (a != coldest or level[a] - value > 1.0):
             continue  # the first scan of a run may lie at the insertion, when a face is already warming
-        slope = (model.chain.read[a] - before[0][a]) / elapsed if elapsed > 0.0 else 0.0
+        slope = (chain.read[a] - before[0][a]) / elapsed if elapsed > 0.0 else 0.0
         rough = ROUGH_S * slope
         noise = CHANNEL_WHITE_K**2 / max(blocks.votes[k, a], 0.2) + ROUNDING_K2
         noise += rough * rough * max(1.0, ROUGH_MEMORY_S / max(elapsed, 0.02))
@@ -182,11 +184,12 @@ def update_by_faces(model, before, estimate, blocks, k, score):
 @compiled()
 def filter_blocks(model, timing, estimate, blocks, scores):
     """March over blocks of scans and correct by what the faces read; `scores` (K, 4) as in `update_by_faces`."""
+    chain = model.chain
     for k in range(blocks.span.shape[0]):
         elapsed = blocks.span[k, 1] - blocks.span[k, 0]
-        before = model.chain.read.copy(), model.chain.d_read.copy()
+        before = chain.read.copy(), chain.d_read.copy()
         if elapsed > 0.0:
             march_span(model, timing, blocks.span[k], blocks.outside[k])
-            first = estimate.mean.shape[0] - model.chain.read.shape[0]
+            first = estimate.mean.shape[0] - chain.read.shape[0]
             predict_biases(estimate, first, math.exp(-elapsed / FACE_SLOW_S), FACE_SLOW_K * FACE_SLOW_K)
-        update_by_faces(model, before, estimate, blocks, k, scores[k])
+        update_by_faces(chain, before, estimate, blocks, k, scores[k])

@@ -111,7 +111,7 @@ class LinearModel(NamedTuple):
     chain: SensorChain
 
 
-@compiled()
+@compiled(inner=True)
 def step_length(t, end, timing):
     """Return the next step from `t`: fine around switches, growing after them, never across a window's begin."""
     h = timing.longest
@@ -165,7 +165,7 @@ def _mean_rise(a, b, middle, length):
     return (_area(b, middle, length) - _area(a, middle, length)) / (b - a)
 
 
-@compiled()
+@compiled(inner=True)
 def set_shares(drive, k, a, b, timing, moving):
     """Fill a step's shares of idle, open, closed and their derivatives by the moments."""
     weight, d_weight = drive.weight, drive.d_weight
@@ -203,8 +203,12 @@ def _set_factors(drive, k, a, b, factors, closed):
     last = factors.edges.shape[0] - 1
     low = min(max(a - closed, factors.edges[0]), factors.edges[last] - 1.0)
     high = min(low + (b - a), factors.edges[last])
-    i = min(max(np.searchsorted(factors.edges, low) - 1, 0), last - 1)
-    j = min(max(np.searchsorted(factors.edges, high) - 1, 0), last - 1)
+    i = 0
+    while i < last - 1 and factors.edges[i + 1] < low:
+        i += 1
+    j = i
+    while j < last - 1 and factors.edges[j + 1] < high:
+        j += 1
     u = (low - factors.edges[i]) / (factors.edges[i + 1] - factors.edges[i])
     v = (high - factors.edges[j]) / (factors.edges[j + 1] - factors.edges[j])
     for m in range(factors.total.shape[1]):
@@ -302,8 +306,8 @@ def march_span(model, timing, span, outside):
 
     Outside are the temperatures of the boundaries, bottom and top, and the logarithms of the contacts' loads.
     """
-    drive = _drive(model, timing, span, outside)
-    p, n = model.state.s.shape
+    drive = drive_of(model.d_boundary, model.moving, model.factors, timing, span, outside)
+    chain, (p, n) = model.chain, model.state.s.shape
     steps, outputs = drive.h.shape[0], model.places.shape[0]
     out, d_out = np.empty((steps + 1, outputs)), np.empty((p, steps + 1, outputs))
     record = kernels.Record(model.places, out, d_out, np.empty((0, n)))
@@ -311,13 +315,13 @@ def march_span(model, timing, span, outside):
     t = span[0]
     for k in range(steps):
         t += drive.h[k]
-        read_sensors(model.chain, out, d_out, k + 1, drive.h[k], _closed(t, timing))
+        read_sensors(chain, out, d_out, k + 1, drive.h[k], _closed(t, timing))
 
 
-@compiled()
-def _drive(model, timing, span, outside):
+@compiled(inner=True)
+def drive_of(d_boundary, moving, factors, timing, span, outside):
     """Cut a span into steps, each with its press state, contact factors and platens."""
-    p = model.state.s.shape[0]
+    p = d_boundary.shape[1]
     lengths = np.empty(400)
     t, steps = span[0], 0
     while span[1] - t > 1e-9 and steps < 400:
@@ -325,10 +329,10 @@ def _drive(model, timing, span, outside):
         t += lengths[steps]
         steps += 1
     h = lengths[:steps].copy()
-    contacts = model.factors.total.shape[1]
+    contacts = factors.total.shape[1]
     drive = kernels.Drive(
         h, np.zeros((steps, 3)), np.zeros((steps, 3, p)), np.ones((steps, contacts)),
-        np.zeros((steps, contacts, p)), np.zeros((steps, 2, 2)), model.d_boundary,
+        np.zeros((steps, contacts, p)), np.zeros((steps, 2, 2)), d_boundary,
     )  # fmt: skip
     t = span[0]
     for k in range(steps):
@@ -336,9 +340,9 @@ def _drive(model, timing, span, outside):
             slope = (outside[1, side] - outside[0, side]) / (span[1] - span[0])
             drive.boundary[k, side, 0] = outside[0, side] + slope * (t + 0.5 * h[k] - span[0])
             drive.boundary[k, side, 1] = slope * h[k]
-        set_shares(drive, k, t, t + h[k], timing, model.moving)
-        _set_factors(drive, k, t, t + h[k], model.factors, timing.closed)
-        _set_loads(drive, k, model.factors.by_load, outside, (t + 0.5 * h[k] - span[0]) / (span[1] - span[0]))
+        set_shares(drive, k, t, t + h[k], timing, moving)
+        _set_factors(drive, k, t, t + h[k], factors, timing.closed)
+        _set_loads(drive, k, factors.by_load, outside, (t + 0.5 * h[k] - span[0]) / (span[1] - span[0]))
         t += h[k]
     return drive
 

@@ -66,67 +66,139 @@ class Change(NamedTuple):
     """And what that adds to the standard deviation. [K]"""
 
 
-@compiled()
+class Causes(NamedTuple):
+    """What one filter knows of its suspected causes (E)."""
+
+    mean: Array
+    """Jointly with all else (E)."""
+    precision: Array
+    """(E, E)"""
+    still: Array
+    """Mean if none is at work (E)."""
+    inner: Array
+    """Covariance if none is at work (E, E)."""
+    evidence: float
+    """Log-evidence of that against the joint estimate."""
+
+
+# Loops below, not Numba's `inv`, `@` and lists of indices: these take several times as long to compile.
+
+
+@compiled(inner=True)
+def _times(matrix, vector):
+    """Return a matrix (E, E) times a vector (E)."""
+    out = np.empty(vector.shape[0])
+    for i in range(out.shape[0]):
+        total = 0.0
+        for j in range(out.shape[0]):
+            total += matrix[i, j] * vector[j]
+        out[i] = total
+    return out
+
+
+@compiled(inner=True)
+def _invert(matrix):
+    """Overwrite a positive definite matrix (E, E) by its inverse; return the logarithm of its determinant."""
+    n, log = matrix.shape[0], 0.0
+    for k in range(n):
+        pivot = matrix[k, k]
+        log += math.log(pivot)
+        matrix[k, k] = 1.0
+        for j in range(n):
+            matrix[k, j] /= pivot
+        for i in range(n):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(n):
+                    matrix[i, j] -= factor * matrix[k, j]
+    return log
+
+
+@compiled(inner=True)
+def _causes(estimate, hypotheses):
+    """Return what is known of the causes, jointly and if none is at work."""
+    column, width, absent = hypotheses.column, hypotheses.width, hypotheses.absent
+    e = column.shape[0]
+    mean, precision, inner = np.empty(e), np.empty((e, e)), np.empty((e, e))
+    for i in range(e):
+        mean[i] = estimate.mean[column[i]]
+        for j in range(e):
+            precision[i, j] = estimate.covariance[column[i], column[j]]
+        precision[i, i] += 1e-12
+    evidence = -0.5 * _invert(precision)
+    pull = _times(precision, mean)
+    for i in range(e):
+        evidence -= 0.5 * mean[i] * pull[i] + math.log(width[i]) + 0.5 * (absent[i] / width[i]) ** 2
+        pull[i] += absent[i] / (width[i] * width[i])
+        for j in range(e):
+            inner[i, j] = precision[i, j]
+        inner[i, i] += 1.0 / (width[i] * width[i]) - 1.0
+    evidence -= 0.5 * _invert(inner)
+    still = _times(inner, pull)
+    for i in range(e):
+        evidence += 0.5 * pull[i] * still[i]
+    return Causes(mean, precision, still, inner, evidence)
+
+
+@compiled(inner=True)
+def _lever(estimate, column, causes, readout):
+    """Return how one linear function of the states goes with the causes (E), and its variance."""
+    cross, variance = np.zeros(column.shape[0]), 0.0
+    for a in range(readout.shape[0]):
+        for b in range(readout.shape[0]):
+            variance += readout[a] * estimate.covariance[a, b] * readout[b]
+        for j in range(column.shape[0]):
+            cross[j] += estimate.covariance[column[j], a] * readout[a]
+    slope = _times(causes.precision, cross)
+    for j in range(column.shape[0]):
+        variance -= cross[j] * slope[j]
+    return slope, variance
+
+
+@compiled(inner=True)
 def condition(estimate, readout, hypotheses, out):
     """Write what each hypothesis says of one linear function of the states.
 
     Parameters
     ----------
     readout
-        Derivative of what is asked for by all states (N).
+        Derivative of what is asked for by the first states; by the others it is 0.
     out
         Gets its shift from the joint mean, its variance, and the log-evidence against the joint estimate (E + 1).
+
+    Returns
+    -------
+    How far off it is for each considered parameter (C) if no suspected cause is at work.
     """
-    column, width = hypotheses.column, hypotheses.width
-    e, to_all = column.shape[0], estimate.covariance @ readout
-    variance = readout @ to_all
-    if e == 0:
-        out.mean[0], out.variance[0], out.weight[0] = 0.0, variance, 0.0
-        return
-    mean, precision, narrow, pull = _causes(estimate, hypotheses)
-    cross = to_all[column]
-    slope = precision @ cross
-    inner = np.linalg.inv(narrow)
-    still = inner @ pull
-    base = 0.5 * (log_determinant(precision) - mean @ (precision @ mean))
-    base -= (np.log(width) + 0.5 * (hypotheses.absent / width) ** 2).sum()
-    base += 0.5 * (pull @ still - log_determinant(narrow))
-    carried = inner @ slope
-    plain, spread = slope @ (still - mean), variance - cross @ slope + slope @ carried
-    out.mean[0], out.variance[0], out.weight[0] = plain, max(spread, 1e-12), base
-    for j in range(e):
-        shift, added, evidence = _released(hypotheses, j, inner[j, j], still[j], carried[j])
+    column, causes = hypotheses.column, _causes(estimate, hypotheses)
+    slope, variance = _lever(estimate, column, causes, readout)
+    carried, plain = _times(causes.inner, slope), 0.0
+    for j in range(column.shape[0]):
+        plain += slope[j] * (causes.still[j] - causes.mean[j])
+        variance += slope[j] * carried[j]
+    out.mean[0], out.variance[0], out.weight[0] = plain, max(variance, 1e-12), causes.evidence
+    for j in range(column.shape[0]):
+        shift, added, evidence = _released(hypotheses, j, causes.inner[j, j], causes.still[j], carried[j])
         out.mean[1 + j] = plain + shift
-        out.variance[1 + j] = max(spread + added, 1e-12)
-        out.weight[1 + j] = base + evidence
+        out.variance[1 + j] = max(variance + added, 1e-12)
+        out.weight[1 + j] = causes.evidence + evidence
+    return _held(estimate.error, column, causes, readout, slope)
 
 
 @compiled(inner=True)
-def log_determinant(matrix):
-    """Return the logarithm of the determinant of a positive definite matrix (n, n), by Cholesky's factors.
-
-    Written out: Numba's own function takes a tenth as long again to compile as all else that is here.
-    """
-    n = matrix.shape[0]
-    factor, found = np.zeros((n, n)), 0.0
-    for i in range(n):
-        for j in range(i + 1):
-            left = matrix[i, j]
-            for k in range(j):
-                left -= factor[i, k] * factor[j, k]
-            factor[i, j] = math.sqrt(left) if i == j else left / factor[j, j]
-        found += 2.0 * math.log(factor[i, i])
-    return found
-
-
-@compiled(inner=True)
-def _causes(estimate, hypotheses):
-    """Return the causes' mean and precision, and their precision and information vector if none is at work."""
-    column, precise = hypotheses.column, hypotheses.width**-2.0
-    mean = estimate.mean[column]
-    precision = np.linalg.inv(estimate.covariance[column][:, column] + 1e-12 * np.eye(column.shape[0]))
-    narrow = precision + np.diag(precise - 1.0)
-    return mean, precision, narrow, precision @ mean + hypotheses.absent * precise
+def _held(error, column, causes, readout, slope):
+    """Return how far off a linear function is for each considered parameter (C) if no cause is at work."""
+    held, own = np.zeros(error.shape[1]), np.empty(column.shape[0])
+    for c in range(held.shape[0]):
+        for a in range(readout.shape[0]):
+            held[c] += readout[a] * error[a, c]
+        for j in range(own.shape[0]):
+            own[j] = error[column[j], c]
+        still = _times(causes.inner, _times(causes.precision, own))
+        for j in range(own.shape[0]):
+            held[c] += slope[j] * (still[j] - own[j])
+    return held
 
 
 @compiled(inner=True)
@@ -196,8 +268,9 @@ def quantile(weights, means, sds, share):
 @compiled()
 def held(estimate, chain, hypotheses):
     """Return how far off the core is for each considered parameter (C) if no suspected cause is at work. [K]"""
-    p = estimate.at.shape[0]
-    return chain.d_level @ _without_causes(estimate, hypotheses, estimate.error, 0.0)[:p]
+    causes = _causes(estimate, hypotheses)
+    slope, _ = _lever(estimate, hypotheses.column, causes, chain.d_level)
+    return _held(estimate.error, hypotheses.column, causes, chain.d_level, slope)
 
 
 @compiled()
@@ -215,19 +288,17 @@ def weigh(estimate, chain, hypotheses, fit, plain, out):
     -------
     The same, a number now [°C], and how far off the core is for each considered parameter (C), as in `held` [K].
     """
-    p, e = estimate.at.shape[0], hypotheses.column.shape[0]
-    readout = np.zeros(estimate.mean.shape[0])
-    for i in range(p):
-        readout[i] = chain.d_level[i]
-    condition(estimate, readout, hypotheses, out)
-    centre = chain.level[0] + chain.d_level @ (estimate.mean[:p] - estimate.at)
-    for j in range(e + 1):
+    away = condition(estimate, chain.d_level, hypotheses, out)
+    centre = chain.level[0]
+    for i in range(chain.d_level.shape[0]):
+        centre += chain.d_level[i] * (estimate.mean[i] - estimate.at[i])
+    for j in range(out.mean.shape[0]):
         out.weight[j] = hypotheses.log_prior[j] + TRUST * (out.weight[j] + fit)
         out.mean[j] += centre
         if j == 0 and math.isnan(plain):
             plain = out.mean[0]
         out.variance[j] += min(SHAPE_SHARE * abs(out.mean[j] - plain), SHAPE_K) ** 2
-    return plain, held(estimate, chain, hypotheses)
+    return plain, away
 
 
 @compiled()
@@ -240,7 +311,9 @@ def pool(components, change):
     """
     log, means, variances = components
     n = log.shape[0] - (2 if change.chance > 0.0 else 0)
-    highest, total = log[:n].max(), 0.0
+    highest, total = log[0], 0.0
+    for j in range(1, n):
+        highest = max(highest, log[j])
     for j in range(n):
         log[j] = math.exp(log[j] - highest)
         total += log[j]
@@ -258,12 +331,12 @@ def pool(components, change):
         for j in range(n):
             log[j] *= 1.0 - change.chance
         log[n], log[n + 1] = change.chance * (1.0 - change.other_panel), change.chance * change.other_panel
-        means[n:] = centre
+        means[n] = means[n + 1] = centre
         variances[n], variances[n + 1] = variance, variance + change.other_K**2
-    square = 0.0
+    square, sds = 0.0, np.empty(log.shape[0])
     for j in range(log.shape[0]):
         square += log[j] * (variances[j] + (means[j] - expected) ** 2)
-    sds = np.sqrt(variances)
+        sds[j] = math.sqrt(variances[j])
     low, high = quantile(log, means, sds, CENTRAL[0]), quantile(log, means, sds, CENTRAL[1])
     return expected, math.sqrt(square), min(low, expected), max(high, expected)
 
@@ -271,32 +344,32 @@ def pool(components, change):
 @compiled()
 def without_causes(estimate, hypotheses):
     """Return the mean of all states (N) if no suspected cause is at work."""
-    return _without_causes(estimate, hypotheses, estimate.mean.reshape(-1, 1), 1.0)[:, 0]
+    causes = _causes(estimate, hypotheses)
+    return _moved(estimate, hypotheses.column, causes, np.zeros(causes.mean.shape[0]))
 
 
 @compiled(inner=True)
-def _without_causes(estimate, hypotheses, states, known):
-    """Return series of all states (N, S) if no suspected cause is at work: means (`known` 1) or errors (0)."""
-    column = hypotheses.column
-    if column.shape[0] == 0:
-        return states.copy()
-    _, precision, narrow, _ = _causes(estimate, hypotheses)
-    pull = precision @ states[column]
-    pull += (known * hypotheses.absent / hypotheses.width**2).reshape(-1, 1)
-    return states + estimate.covariance[:, column] @ (precision @ (np.linalg.inv(narrow) @ pull - states[column]))
+def _moved(estimate, column, causes, pushed):
+    """Return the mean of all states (N) where the causes are moved from none at work by inner @ `pushed` (E)."""
+    states, move = estimate.mean.copy(), _times(causes.inner, pushed)
+    for j in range(column.shape[0]):
+        move[j] += causes.still[j] - causes.mean[j]
+    move = _times(causes.precision, move)
+    for a in range(states.shape[0]):
+        for j in range(column.shape[0]):
+            states[a] += estimate.covariance[a, column[j]] * move[j]
+    return states
 
 
 @compiled()
 def cells(estimate, hypotheses, shares, state):
     """Return the cells' temperatures (n) as one filter's hypotheses expect them, `shares` of them (E + 1). [°C]"""
-    p, column = estimate.at.shape[0], hypotheses.column
-    states = estimate.mean.copy()
-    if column.shape[0] > 0:
-        mean, precision, narrow, pull = _causes(estimate, hypotheses)
-        inner = np.linalg.inv(narrow)
-        still, sizes = inner @ pull, np.empty(column.shape[0])
-        for j in range(column.shape[0]):
-            shift, _, _ = _released(hypotheses, j, inner[j, j], still[j], 1.0)
-            sizes[j] = shares[1 + j] * shift
-        states += estimate.covariance[:, column] @ (precision @ (still - mean + inner @ sizes))
-    return state.t + (states[:p] - estimate.at) @ state.s[:p]
+    causes, pushed = _causes(estimate, hypotheses), np.empty(hypotheses.column.shape[0])
+    for j in range(pushed.shape[0]):
+        shift, _, _ = _released(hypotheses, j, causes.inner[j, j], causes.still[j], 1.0)
+        pushed[j] = shares[1 + j] * shift
+    states, t = _moved(estimate, hypotheses.column, causes, pushed), state.t.copy()
+    for q in range(estimate.at.shape[0]):
+        for i in range(t.shape[0]):
+            t[i] += (states[q] - estimate.at[q]) * state.s[q, i]
+    return t

@@ -11,6 +11,7 @@ from urllib.request import urlopen
 
 import pytest
 
+from softsensor.jobs.first_start import WorkKind
 from tests.api.test_alarms import free_port
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +46,37 @@ for at, what in compiled.buffer:
         spent[name] = spent.get(name, 0.0) + at - began_of[name].pop()
 print(json.dumps({"steps": steps, "compiled": spent}))
 """
+
+LISTED = """
+import sys, time
+from numba import types
+from daq.compiled_ahead import function_at, read_list
+from softsensor.jobs.first_start import WorkKind, list_of
+def scalars(of):
+    if isinstance(of, types.BaseTuple):
+        return sum(map(scalars, of))
+    return 5 + 2 * of.ndim if isinstance(of, types.Array) else 1
+functions, spent = read_list(list_of(WorkKind(sys.argv[1]))), []
+for of in functions:
+    made = function_at(of.module, of.name)
+    began = time.process_time()
+    made.compile(of.signature)
+    spent.append((time.process_time() - began, f"{of.name} of {sum(map(scalars, of.signature))} scalars"))
+print(f"{len(spent)} functions, {sum(took for took, _ in spent):.1f} s of processor time")
+for took, name in sorted(spent, reverse=True)[:15]:
+    print(f"  {took:5.2f} s  {name}")
+"""
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("work", WorkKind)
+def test_processor_time_that_a_list_takes_to_compile(work, tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", LISTED, work], capture_output=True, text=True, check=True, env=environment, cwd=ROOT
+    )
+    print(f"\n{work} (load {os.getloadavg()[0]:.1f}): {done.stdout}")
 
 
 @pytest.mark.benchmark

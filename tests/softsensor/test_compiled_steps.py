@@ -13,6 +13,7 @@ from softsensor.heat.timing import ramp
 from softsensor.jobs.warm_up import warm_up
 from softsensor.live import block_steps, channel_steps, kalman_steps, march_steps, mixture_steps
 from softsensor.live.sensor import LiveSensor
+from tests.reached import reached
 
 MODULES = (
     kernels,
@@ -93,11 +94,11 @@ def test_elimination_from_both_ends_solves_the_tridiagonal_system(n):
     diag = g[:-1] + g[1:]
     full = np.diag(cap + dh * diag) - dh * (np.diag(g[1:n], 1) + np.diag(g[1:n], -1))
     inverse, back = np.zeros(n), np.zeros(n)
-    kernels._factor(cap, diag, g, dh, inverse, back)
+    reached(kernels._factor)(cap, diag, g, dh, inverse, back)
     one, many = rng.normal(size=n), rng.normal(size=(8, n))
     x, y = one.copy(), many.copy()
-    kernels._solve(inverse, back, x)
-    kernels._solve_many(inverse, back, y)
+    reached(kernels._solve)(inverse, back, x)
+    reached(kernels._solve_many)(inverse, back, y)
     assert np.allclose(full @ x, one, rtol=0, atol=1e-12)
     assert np.allclose(full @ y.T, many.T, rtol=0, atol=1e-12)
 

@@ -24,6 +24,7 @@ from softsensor.live.priors import plans_for
 from softsensor.live.sensor import LiveSensor
 from softsensor.live.setup import linearise, set_up
 from softsensor.live.validity import InvalidReason
+from tests.reached import reached
 
 PRESS = parse_press(press_toml())
 COEFFICIENTS = {name: FittedValue(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()}
@@ -315,7 +316,10 @@ def test_a_contact_that_grows_after_closing_does_so_in_the_filters_as_its_law_sa
     deficit, tau = (assumed[f"contact_buildup.{name}"] for name in grows)
     closed = 5.0
     timing = PressTiming(0.0, 2.0, closed, math.inf, math.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
-    drive = march_steps._drive(made.model, timing, np.array([0.0, 40.0]), np.full((2, 2), 180.0))
+    model, span = made.model, np.array([0.0, 40.0])
+    drive = reached(march_steps.drive_of)(
+        model.d_boundary, model.moving, model.factors, timing, span, np.full((2, 2), 180.0)
+    )
     since = np.clip(np.concatenate([[0.0], np.cumsum(drive.h)]) - closed, 0.0, None)
     before = drive.h - np.diff(since)
     missing = deficit * (before - tau * np.diff(np.exp(-since / tau))) / drive.h

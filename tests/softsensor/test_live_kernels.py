@@ -8,11 +8,18 @@ from scipy.optimize import brentq
 from scipy.stats import multivariate_normal, norm
 
 from softsensor.heat.implicit_steps import Drive
+from softsensor.live import kalman_steps, march_steps, mixture_steps
 from softsensor.live.blocks import fresh_channels
 from softsensor.live.channel_steps import robust_mean
-from softsensor.live.kalman_steps import StateEstimate, kalman_update
-from softsensor.live.march_steps import PressTiming, set_shares, step_length
-from softsensor.live.mixture_steps import Change, Components, Hypotheses, cells, condition, pool, quantile
+from softsensor.live.kalman_steps import StateEstimate
+from softsensor.live.march_steps import PressTiming
+from softsensor.live.mixture_steps import Change, Components, Hypotheses, cells, pool, quantile
+from tests.reached import reached
+
+kalman_update = reached(kalman_steps.kalman_update)
+step_length = reached(march_steps.step_length)
+set_shares = reached(march_steps.set_shares)
+condition = reached(mixture_steps.condition)
 
 
 def problem(seed, states=6, readings=9):
