@@ -39,8 +39,8 @@ _GAMMAS = np.array(
 _B = np.array([2.4212380706095346e-01, -1.2232505839045147e00, 1.5452602553351020e00, GAMMA])
 _B_EMBEDDED = np.array([3.7810903145819369e-01, -9.6042292212423178e-02, 0.5, 2.1793326075422950e-01])
 _INVERSE = np.linalg.inv(_GAMMAS)
-A_U = _ALPHA @ _INVERSE
-C_U = np.diag(np.full(4, 1.0 / GAMMA)) - _INVERSE
+A_U = np.tril(_ALPHA @ _INVERSE, -1)
+C_U = np.tril(-_INVERSE, -1)
 M_U = _B @ _INVERSE
 E_U = (_B - _B_EMBEDDED) @ _INVERSE
 T_STAGE = _ALPHA.sum(axis=1)
@@ -507,13 +507,13 @@ def back_substitute(step: StepTerms, k: Knobs, s: PressStack, a: Matrix, z: Node
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")
-def combine(out: NodeState, start: NodeState, weights: Array, count: int, u: NodeState) -> None:
-    """Set `out` to `start` plus the weighted sum of the first `count` increments, the rows of `u`."""
+def combine(out: NodeState, start: NodeState, weights: Array, over: float, u: NodeState) -> None:
+    """Set `out` to `start` plus the sum of the increments, the rows of `u`, by their weights over `over`."""
     copy(start.T, out.T)
     copy(start.w, out.w)
     copy(start.x, out.x)
-    for j in range(count):
-        c = weights[j]
+    for j in range(weights.size):
+        c = weights[j] / over
         if c == 0.0:
             continue
         for i in range(out.T.size):
@@ -588,22 +588,22 @@ def advance(span: tuple[float, float], y: NodeState, k: Knobs, s: PressStack, ho
             drift.x[i] = (drift.x[i] - rate.x[i]) / (1e-3 * h)
         for j in range(4):
             if j > 0:
-                combine(stage, y, A_U[j], j, u)
+                combine(stage, y, A_U[j], 1.0, u)
                 slope(Instant(t + T_STAGE[j] * h, middle), stage, k, s, unused, rate)
-            combine(z, rate, C_U[j] / h, j, u)
+            combine(z, rate, C_U[j], h, u)
             for i in range(n):
                 z.T[i] += G_STAGE[j] * h * drift.T[i]
             for i in range(5):
                 z.x[i] += G_STAGE[j] * h * drift.x[i]
             back_substitute(step, k, s, a, z, NodeState(u.T[j], u.w[j], u.x[j]))
-        combine(stage, zero, E_U, 4, u)
+        combine(stage, zero, E_U, 1.0, u)
         error = largest(stage.T)
         error = max(error, 5.0 * largest(stage.w), abs(stage.x[3]), abs(stage.x[4])) / how.tolerance
         if error > 1.0 and h > 1e-6:
             h *= max(0.2, 0.85 * error ** (-1.0 / 3.0))
             continue
         t += h
-        combine(stage, y, M_U, 4, u)
+        combine(stage, y, M_U, 1.0, u)
         copy(stage.T, y.T)
         copy(stage.w, y.w)
         copy(stage.x, y.x)
