@@ -137,8 +137,7 @@ def evaluate(
     n, k, m = len(plain), len(unknowns), len(shared)
     jacobian = np.zeros((len(residual), k + count))
     outer = np.zeros((len(residual), m))
-    raw = np.stack([digest.observed_tangent(solution, name) for name in names], axis=-1)
-    rows = dict(zip(names, data(raw).T, strict=True))
+    rows = dict(zip(names, data(digest.observed_tangents(solution, names)).T, strict=True))
     for key in layout.effect_names:
         outer[:n, shared[key]] = rows[key]
     for j, u in enumerate(unknowns):

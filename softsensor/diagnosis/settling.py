@@ -164,11 +164,12 @@ def with_own_panel(stage: SettledModel, run: int) -> Digest:
     model, they cannot bend as far as a wrong model would take them.
     """
     fit, d = stage.fit, stage.data[run].digest
-    own = tuple(panel_shares(d))
-    values = run_values(fit.layout, run, fit.theta, fit.runs[run].eta) | {u.name: 0.0 for u in own}
-    solution = d.solve(fit.layout.model, values, [u.name for u in own])
-    rows = [u.sd * d.observed_tangent(solution, u.name) for u in own]
-    return replace(d, panel_rows=np.stack(rows, axis=-1)) if rows else d
+    sd = {u.name: u.sd for u in panel_shares(d)}
+    if not sd:
+        return d
+    values = run_values(fit.layout, run, fit.theta, fit.runs[run].eta) | dict.fromkeys(sd, 0.0)
+    solution = d.solve(fit.layout.model, values, tuple(sd))
+    return replace(d, panel_rows=d.observed_tangents(solution, tuple(sd)) * np.array(list(sd.values())))
 
 
 def with_whole_panels(stage: SettledModel) -> SettledModel:

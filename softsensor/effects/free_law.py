@@ -183,13 +183,17 @@ def contact_terms(scene: Scene, law: Function, last_s: float, side: str = "") ->
 
 def _means(scene: Scene, law: Function, last_s: float) -> Numbers:
     """Return the means of a function of the time since closing over each step; after the longest it stays. [s]"""
-    middle, half = 0.5 * (scene.step_start + scene.step_end), 0.5 * (scene.step_end - scene.step_start)
-    mean: Numbers = np.zeros(len(middle))
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        since = middle + node * half - scene.closed_s
-        since = np.where(np.real(since) > 0.0, since, 0.0)
-        since = np.where(np.real(since) < last_s, since, last_s)
-        mean = mean + 0.5 * weight * law(np.log(1.0 + since / EARLY_S))
+    begun, over = np.searchsorted(scene.step_end, np.real(scene.closed_s) + np.array([0.0, last_s]), side="right")
+    changing = slice(begun, over + 1)
+    start, end = scene.step_start[changing], scene.step_end[changing]
+    since = 0.5 * (start + end) + 0.5 * (end - start) * _NODES[:, None] - scene.closed_s
+    since = np.where(np.real(since) > 0.0, since, 0.0)
+    since = np.where(np.real(since) < last_s, since, last_s)
+    nodes = law(np.log(1.0 + since.ravel() / EARLY_S)).reshape(since.shape)
+    before, after = law(np.log(1.0 + np.array([0.0, last_s]) / EARLY_S))
+    mean = np.full(len(scene.step_end), before, dtype=nodes.dtype)
+    mean[changing] = 0.5 * _WEIGHTS @ nodes
+    mean[changing.stop :] = after
     return mean
 
 

@@ -161,11 +161,11 @@ class Digest:
         predicted = self.bins(solution.sensors[:, : len(self.signals)])
         return np.clip(np.nan_to_num(predicted, nan=UNBOUNDED_K), -UNBOUNDED_K, UNBOUNDED_K)
 
-    def observed_tangent(self, solution: Solution, name: str) -> Array:
-        """Return the derivative of the signals by a parameter, 0 where they have no end (bins, signals)."""
-        slope = self.bins(solution.d_sensors[name][:, : len(self.signals)])
-        known = (np.abs(self.observed(solution)) < UNBOUNDED_K) & np.isfinite(slope)
-        return np.where(known, slope, 0.0)
+    def observed_tangents(self, solution: Solution, names: Sequence[str]) -> Array:
+        """Return the derivatives of the signals by parameters, 0 where they have no end (bins, signals, names)."""
+        slopes = self.bins(np.stack([solution.d_sensors[name][:, : len(self.signals)] for name in names], axis=-1))
+        known = np.abs(self.observed(solution)) < UNBOUNDED_K
+        return np.where(known[..., None] & np.isfinite(slopes), slopes, 0.0)
 
 
 def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str] = frozenset()) -> Digest:

@@ -65,7 +65,7 @@ def test_steam_in_wool_grows_without_end_and_is_told_in_numbers_that_can_be_comp
     assert not np.abs(solution.sensors).max() < 1e100
     seen = wool.observed(solution)
     assert np.abs(seen).max() == UNBOUNDED_K
-    slope = wool.observed_tangent(solution, name)
+    slope = wool.observed_tangents(solution, (name,))
     assert np.isfinite(slope).all()
     assert not slope[np.abs(seen) == UNBOUNDED_K].any()
 

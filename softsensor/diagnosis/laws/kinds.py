@@ -252,8 +252,7 @@ def source_by_time(last_s: float) -> LawKind:
 
 
 def _function(smooth: Smooth, values: Mapping[str, Any], size: float = 1.0) -> Function:
-    numbers = size * np.array([values[name] for name in values])
-    return lambda x: smooth.weights(x) @ numbers
+    return smooth.through(smooth.factor @ (size * np.array(list(values.values()))))
 
 
 def _at_knots(smooth: Smooth, numbers: Array) -> dict[str, float]:
