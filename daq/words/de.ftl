@@ -2199,7 +2199,7 @@ page-grade-glossy = glänzend
 page-grade-matt = matt
 page-grade-undercured = nicht ausgehärtet
 page-last-pressing = Letzte Pressung
-page-left-out-channel = { $kelvin } K { $side ->
+page-left-out-channel = zuletzt { $kelvin } K { $side ->
     [below] unter
    *[above] über
  } den Nachbarn, nicht verwendet

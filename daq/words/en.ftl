@@ -2186,7 +2186,7 @@ page-grade-glossy = glossy
 page-grade-matt = matt
 page-grade-undercured = undercured
 page-last-pressing = Last pressing
-page-left-out-channel = { $kelvin } K { $side ->
+page-left-out-channel = lately { $kelvin } K { $side ->
     [below] below
    *[above] above
  } its neighbours, not used

@@ -264,7 +264,7 @@ def test_a_model_version_is_rolled_back_by_hand(plant):
 @pytest.mark.parametrize(
     ("state", "says"),
     [
-        ({"age_s": 0.5, "left_out_K": -71.2}, "71 K below its neighbours, not used"),
+        ({"age_s": 0.5, "left_out_K": -71.2}, "lately 71 K below its neighbours, not used"),
         ({"age_s": 900.0}, "good"),
         ({"age_s": 0.5}, "good"),
     ],
@@ -279,7 +279,7 @@ def test_a_channel_among_the_loggers_is_green_only_while_it_is_read_and_used(pla
 
     page.route("**/api/v1/channels*", answer)
     page.goto(address + "#/loggers")
-    tones = {"71": "bad", "good": "idle" if state["age_s"] > 1.0 else "good"}
+    tones = {"lately": "bad", "good": "idle" if state["age_s"] > 1.0 else "good"}
     pills = page.get_by_test_id("loggers").locator("tbody .pill")
     expect(pills.first).to_have_text(says)
     expect(pills.first).to_have_class(f"pill wraps {tones[says.split()[0]]}")

@@ -107,7 +107,7 @@ def test_a_channel_that_is_not_used_says_so_on_its_tile_and_is_not_called_good(p
     server, page = pressing
     page.goto(server.url + "#/now")
     tile = page.locator(".channel", has_text="top_3")
-    expect(tile).to_contain_text("71 K below its neighbours, not used")
+    expect(tile).to_contain_text("lately 71 K below its neighbours, not used")
     expect(tile).not_to_contain_text("good")
     expect(page.locator(".channel", has_text="top_4")).to_contain_text("good")
 
