@@ -23,16 +23,13 @@ from daq.compiled import compiled
 from softsensor.heat.step_terms import (
     CAP,
     DIAG,
-    DROWS,
     FAST,
     GAMMA,
     LOSS,
-    ROWS,
     SLOPE,
     SRC,
     STAR,
     Array,
-    Coefficients,
     D,
     Drive,
     G,
@@ -42,6 +39,7 @@ from softsensor.heat.step_terms import (
     Tangents,
     coefficients,
     contacts,
+    room,
 )
 
 # Numbers without another source were set by hand, 2026-11.
@@ -133,9 +131,7 @@ def fill_lane(run, lane, lanes):
     h, group, outer, ends = lanes.h, lanes.group, lanes.outer, lanes.ends
     cap, g, diag, t = lanes.cap, lanes.g, lanes.diag, lanes.t
     n, steps = stack.dx.shape[0], drive.h.shape[0]
-    co = Coefficients(
-        np.zeros((ROWS, n + 1)), np.zeros((DROWS, 0, n + 1)), np.zeros((0, 2, n)), np.zeros((0, 2, 0, n))
-    )
+    co = room(np.int64(0), np.int64(0), n)
     w = co.w
     lanes.reach[lane], lanes.ambient[lane] = n, stack.ambient
     for i in range(n):
