@@ -423,6 +423,8 @@ class Follower:
                 raise ScansUnreadable(live.record.damage)
             estimate = live.sensor.update(time_s, values)
         except InputError as error:
+            if self.refused is None:  # once a run: the estimates say the same at every scan
+                self._pending.add(("warning", spoken(error)))
             self.refused = spoken(error)
             estimate = Estimate(
                 time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.refused})

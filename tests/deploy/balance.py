@@ -35,8 +35,10 @@ from daq.recording.press_line import LEFT_OUT_EVERY_S
 from daq.records import Moments, PressEventKind, PressState, Quality
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from daq.store import RunStatus, Store, every
+from softsensor.live.validity import InvalidReason
 from tests.deploy.truth import KILLED, RESTARTED, STAMP_S, Truth
 
+START = "panel.initial_temperature_C"
 BLIND_S = 3.0
 """A face unseen this long, or scans this far apart, can hide a moment of the press. [s of the press]"""
 MARGIN_S = 10.0
@@ -528,7 +530,7 @@ class _Count:
             held = len(self._held(run))
             for time_s, estimate in self.store.estimates(run.run):
                 due += 1
-                why = self._judged(estimate)
+                why = self._judged(estimate, run)
                 if why is None and held != 1:
                     causes[f"wrong, {held} pressings in the run"] += 1
                 elif why is None:
@@ -540,12 +542,17 @@ class _Count:
                     right += 1
         self.balance.say("estimates right", due, right, causes, where)
 
-    def _judged(self, estimate: Any) -> str | None:
+    def _judged(self, estimate: Any, run: Any) -> str | None:
         """Return why an estimate has no core, empty where its core is right, None where it is neither."""
+        if estimate.reason == InvalidReason.RUN_REFUSED:
+            return self._start_unknown(run)
         i = int(estimate.number - self.scans.numbers[0])
         begin_s, end_s = float(self.scans.times[i]) - MARGIN_S, float(self.scans.times[i]) + MARGIN_S
         true = self.true_core[i]
-        if estimate.state not in self._states(begin_s, end_s) and not self._blind_over(begin_s, end_s):
+        states: set[str] = set(self._states(begin_s, end_s))
+        if not all(quality.usable for quality in self.scans.qualities[i]):
+            states.add("unknown")
+        if estimate.state not in states and not self._blind_over(begin_s, end_s):
             return None
         if not estimate.valid:
             return re.split(r"[:\d]", estimate.reason)[0].strip() or None
@@ -554,6 +561,12 @@ class _Count:
         core, low, high = estimate.core_celsius, estimate.core_low_celsius, estimate.core_high_celsius
         near = max(low, core - BAND_K) - CORE_K <= true <= min(high, core + BAND_K) + CORE_K
         return "" if near and low <= core <= high else None
+
+    def _start_unknown(self, run: Any) -> str | None:
+        """Return what kept a run's start temperature from the recorder, None where nothing did."""
+        begin_s, _ = self._span(run)
+        why = self._blind_over(begin_s - MARGIN_S, begin_s + MARGIN_S)
+        return f"start temperature not known, {why}" if why and START not in run.header else None
 
     def _states(self, begin_s: float, end_s: float) -> set[PressState]:
         """Return what the press truly did in a stretch of time."""

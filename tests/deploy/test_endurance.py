@@ -261,6 +261,14 @@ CHANGES = {
         "update estimate set core_celsius = 300, core_low_celsius = 0, core_high_celsius = 400",
     ),
     "estimates of another state": ("estimates right", "update estimate set state = 'idle'"),
+    "a state called unknown beside whole scans": (
+        "estimates right",
+        "update estimate set state = 'unknown', valid = 0, reason = 'platen reading missing'",
+    ),
+    "runs refused": (
+        "estimates right",
+        "update estimate set state = 'unknown', valid = 0, reason = 'run refused', core_celsius = null",
+    ),
     "said to be no panel": (
         "estimates right",
         "update estimate set state = 'idle', valid = 0, reason = 'no panel in the press'",

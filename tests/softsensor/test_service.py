@@ -930,6 +930,8 @@ def test_the_sensor_says_nothing_of_a_panel_whose_header_is_damaged_and_goes_on_
     follow_guarded(guarded, recorder, POISONED + 40, now=1e6)
     assert guarded.problem.code == "of-run"
     assert f"run {run}: its header is damaged in store" in str(guarded.problem)
+    warned = [str(entry.message) for entry in store.journal(level="warning").items]
+    assert warned == [str(guarded.problem)]  # once, not at every scan
     newest = store.estimates_after("lab", store.newest_estimate_number("lab") - 1)[-1]
     assert (newest.valid, newest.reason) == (False, InvalidReason.RUN_REFUSED.value)
     follow_guarded(guarded, recorder, now=2e6)
