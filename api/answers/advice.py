@@ -62,12 +62,17 @@ def _of_open_press(estimate: EstimateNow, target_C: float | None, opened_s: floa
 def _age_of_look(estimate: EstimateNow) -> float | None:
     """Return how old the look ahead is now, None where there is none. [s]"""
     age_s = estimate.forecast_age_s
-    return None if age_s is None else round(age_s + (estimate.age_s or 0.0), 3)
+    return None if age_s is None else round(age_s + _since(estimate), 3)
 
 
 def _from_now(seconds: float | None, estimate: EstimateNow) -> float | None:
     """Return a time foreseen at the estimate as it counts from now; what is past is now. [s]"""
-    return None if seconds is None else max(seconds - (estimate.age_s or 0.0), 0.0)
+    return None if seconds is None else max(seconds - _since(estimate), 0.0)
+
+
+def _since(estimate: EstimateNow) -> float:
+    """Return how long ago the estimate was; none is of the future, whatever the press' clock says. [s]"""
+    return max(estimate.age_s or 0.0, 0.0)
 
 
 def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803

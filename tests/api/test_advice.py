@@ -74,6 +74,11 @@ def test_times_count_from_now_and_a_look_ahead_ages_with_its_estimate():
     assert advice.sentence == "not known, because the last forecast is 6 s old"
 
 
+def test_a_clock_of_the_press_that_runs_ahead_makes_no_opening_later():
+    advice = advice_of(estimate(**ahead(), age_s=-3.0), 40.0)
+    assert (advice.open_in_s, advice.open_earliest_s, advice.open_latest_s, advice.age_s) == (11.0, 8.0, 15.0, 1.0)
+
+
 @pytest.mark.parametrize("age_s", [5.1, -5.1, None])
 def test_an_estimate_that_is_not_of_now_gives_no_advice(age_s):
     given = {**ahead(open_in_s=0.0), **CURED, "limits_in_s": 0.0, "open_now": True}
