@@ -90,6 +90,8 @@ app.command("token", cls=Command)(services.token)
 app.command("guide", cls=Command)(guide)
 
 
+ONE_THREAD = "OPENBLAS_NUM_THREADS"
+"""How many threads NumPy's and SciPy's linear algebra takes for a product; read when they are first imported."""
 COMPLETE = "_KERNTEMP_COMPLETE"
 """Variable in which a shell that completes asks; the command line library reads it."""
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
@@ -97,7 +99,12 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+    """Run one command and return its exit status.
+
+    Matrices are small here and runs are already solved beside each other: threads within a product wait for one
+    another, and cost a diagnosis of twelve runs a sixth of its processor time (158 s, 131 s with one; 2026-11-27).
+    """
+    os.environ.setdefault(ONE_THREAD, "1")
     if COMPLETE in os.environ:
         from typer._completion_classes import completion_init
 

@@ -9,8 +9,10 @@ from hypothesis import settings
 from sqlalchemy import create_engine, text
 from sqlalchemy.exc import OperationalError
 
+from api.cli import ONE_THREAD
 from tests.guarding import guard
 
+os.environ.setdefault(ONE_THREAD, "1")  # as the command line does, before anything imports NumPy
 SERVER = os.environ.get("KERNTEMP_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
 
 
