@@ -215,7 +215,7 @@ class Database:
         except (DatabaseError, sqlite3.DatabaseError) as error:
             reason = str(error.orig if isinstance(error, DatabaseError) else error)
             if "not a database" in reason:
-                raise InputError(say("store-not-sqlite", store=self.label)) from error
+                raise StoreUnavailable(say("store-not-sqlite", store=self.label)) from error
             if "cannot contain NUL" in reason:
                 raise InputError(say("store-nul", store=self.label)) from error
             self._refuse_own_view(error)

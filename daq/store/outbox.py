@@ -73,6 +73,8 @@ class Outbox:
         self._inbox: deque[WriteBatch | Entry] = deque()
         self._news = threading.Event()
         self._beat: tuple[str, Mapping[str, Any]] | None = None
+        self._silent = False
+        """Whether it is reported that the store takes no sign of life, though it takes all else."""
         self._waiting: list[WriteBatch | Entry] = []
         self._unsettled: deque[WriteBatch | Entry] = deque(maxlen=_MOST_WAITING)
         """Written, but perhaps only in the log of an SQLite store so far."""
@@ -246,8 +248,20 @@ class Outbox:
         self._moved_s = time.monotonic()
         if self._beat is not None:
             beat, self._beat = self._beat, None
-            with suppress(StoreUnavailable):
+            try:
                 self._store.beat(*beat)
+            except StoreUnavailable as error:
+                self._beat_refused(error)
+            else:
+                self._silent = False
+
+    def _beat_refused(self, error: StoreUnavailable) -> None:
+        """Report once that the store takes no sign of life, unless it takes nothing now: the scans report that."""
+        with suppress(StoreUnavailable):
+            self._store.try_to_write()
+            if not self._silent:
+                self._journal("alarm", say("sign-of-life-refused", why=spoken(error)))
+            self._silent = True
 
     def _refused(self, error: Exception) -> None:
         foreseen = isinstance(error, StoreUnavailable | InputError | sqlite3.Error | OSError)

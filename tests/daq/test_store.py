@@ -685,7 +685,7 @@ def test_a_wrong_address_is_refused_in_one_line(url, message):
 def test_a_file_that_is_no_store_is_refused(tmp_path):
     path = tmp_path / "s.sqlite"
     path.write_text("time_s,top_1\n" * 500)
-    with pytest.raises(InputError, match="not an SQLite file"):
+    with pytest.raises(StoreUnavailable, match=r"not an SQLite file.* kerntemp backup --restore.* another path"):
         open_store(str(path))
 
 

@@ -196,6 +196,58 @@ def refuse(*items):
     raise StoreUnavailable(say("plain-text", text="away"))
 
 
+def test_a_store_whose_first_page_is_destroyed_does_not_keep_a_recorder_from_recording(tmp_path):
+    path, notes = tmp_path / "s.sqlite", Notes()
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        store.write_batches([batch(key, n) for n in range(10)])
+    sound = path.read_bytes()
+    spoil(path, 0, 4096, b"\xa5")
+    with open_store(str(path), later=True) as store:
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
+        key = outbox.later_key("lab", CHANNELS, "press file")
+        outbox.start()
+        for n in range(20):
+            outbox.put(batch(key, n))
+        wait_until(lambda: notes.journalled)
+        (level, text) = notes.journalled[0]
+        assert level == "alarm"
+        assert str(path) in text
+        assert "kerntemp backup --restore" in text
+        assert "scans wait in memory" in text
+        path.write_bytes(sound)
+        wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 20)
+        outbox.close()
+        assert numbers(store) == list(range(30))
+
+
+def test_a_sign_of_life_that_the_store_alone_refuses_is_told_once_and_scans_go_on(tmp_path):
+    path, notes = tmp_path / "s.sqlite", Notes()
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        store.beat("record", {"x": 0})
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        found = "SELECT rootpage FROM sqlite_master WHERE name = 'sqlite_autoindex_status_1'"
+        (root,) = connection.execute(found).fetchone()
+    spoil(path, 4096 * (root - 1), 4096, b"\xa5")
+    with open_store(str(path)) as store:
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
+        outbox.start()
+        for n in range(5):
+            outbox.beat("record", {"x": n})
+            outbox.put(batch(key, n))
+            wait_until(lambda: len(notes.acknowledged) == n + 1 and outbox._beat is None)  # noqa: B023
+        outbox.close()
+        assert numbers(store) == list(range(5))
+    ((level, text),) = notes.journalled
+    assert level == "alarm"
+    assert str(path) in text
+    assert "sign of life" in text
+    assert "kerntemp backup --restore" in text
+    assert "scans wait" not in text
+
+
 def test_the_salvage_of_a_buffer_that_is_cut_short_ends_wherever_it_is_cut(tmp_path):
     alarms, path = [], tmp_path / "b.sqlite"
     texts = [f"{n} {'x' * 300}" for n in range(400)]
