@@ -16,6 +16,7 @@ from datetime import datetime
 from api.alarms.ways import NotDelivered, Way
 from api.answers.health import NEVER_SEEN, SILENT_S, standing_alarms
 from api.answers.records import utc_now
+from daq.records import InputError
 from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
@@ -79,6 +80,8 @@ class _AlarmWatch:
         looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
         self._reported = False
         """Whether what stands still now is reported."""
+        self._trouble = ""
+        """What keeps the store away now; the terminal has it once."""
         self._threads = [
             SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._journal, looking),
             SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._journal, sending),
@@ -114,8 +117,11 @@ class _AlarmWatch:
         while not self._stop.is_set():
             try:
                 work()
-            except StoreUnavailable as error:
-                LOG.info("%s", say("store-trying-again", why=spoken(error)))
+                self._trouble = ""
+            except (InputError, StoreUnavailable) as error:  # the first: a newer version took the store over
+                if str(error) != self._trouble:
+                    LOG.warning("%s", say("store-trying-again", why=spoken(error)))
+                self._trouble = str(error)
             self._stop.wait(seconds)
 
     def _journal(self, fault: Message) -> None:

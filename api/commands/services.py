@@ -6,6 +6,7 @@ import logging
 import socket
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -68,6 +69,7 @@ def serve(
     from api.http.tokens import TokenFile
     from daq.process.config import ServerSettings, load_config
     from daq.process.stopping import outlive_hangup
+    from daq.store.records import StoreUnavailable
     from daq.store.store import open_store
 
     outlive_hangup()
@@ -79,6 +81,8 @@ def serve(
     listening.check(tokens)
     address = store or (settings.store.url if settings else "")
     with open_store(address, create=store is None, later=True) as opened:
+        with suppress(StoreUnavailable):  # the page says so; a store that is wrong in itself ends the server
+            opened.database.prepare()
         ways = ways_of(settings.email, settings.webhook, opened.label) if settings else []
         bound = listening.bind()
         write_line(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))

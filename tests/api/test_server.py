@@ -3,13 +3,15 @@
 import json
 import logging
 import os
+import shutil
 import signal
 import socket
+import sqlite3
 import ssl
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import httpx
@@ -23,6 +25,7 @@ from api.http.server import ConnectionWatchdog, Listening, SparingLog, make_serv
 from api.http.tokens import Attempts
 from daq.records import InputError
 from daq.store.store import open_store
+from tests.daq.test_store_damage import spoil
 from tests.patience import wait_until
 
 PATIENT_S = 240.0
@@ -80,6 +83,40 @@ def test_the_page_is_there_before_its_database_and_says_that_it_is_away(plant):
         assert "check that the database server runs" in health["alarms"][0]
         assert client.get("/").status_code == 200
         assert "kerntemp_store_up 0.0" in client.get("/metrics").text
+
+
+def outdated_for(path):
+    """Make a store one of a newer version."""
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE schema_version SET version = 999")
+        connection.commit()
+
+
+def test_a_store_of_a_newer_version_ends_the_server_with_a_sentence(plant):
+    outdated_for(plant / "kerntemp.sqlite")
+    command = [sys.executable, "-m", "api", "serve", "--config", str(plant / "kerntemp.toml"), "--port", "0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENT_S, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "made by a newer version (schema 999" in line
+
+
+def test_a_store_that_becomes_one_of_a_newer_version_while_served_is_no_fault_of_the_program(plant):
+    place, away = plant / "kerntemp.sqlite", plant / "away.sqlite"
+    outdated_for(place)
+    shutil.copy(place, away)
+    spoil(place, 0, 4096, b"\xa5")
+    with served(plant) as address, httpx.Client(base_url=address, timeout=240) as client:
+        assert client.get("/api/v1/health").json()["status"] == "down"
+        shutil.copy(away, place)
+        answer = client.get("/api/v1/runs")
+        assert answer.status_code == 422
+        assert "made by a newer version" in answer.json()["detail"]
+        wait_until(lambda: "made by a newer version" in (plant / "serve.log").read_text(), PATIENT_S)
+    log = (plant / "serve.log").read_text()
+    assert "Traceback" not in log
+    assert "please report" not in log
+    assert log.count("made by a newer version") == 1
 
 
 def test_with_certificate_files_the_server_speaks_tls_only(plant, certificate):
