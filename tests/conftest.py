@@ -36,6 +36,11 @@ def _keep_bytecode():
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
+def pytest_collection_modifyitems(items):
+    """Begin with the gates: the type checker takes longest, and at the end everybody would wait for it."""
+    items.sort(key=lambda item: item.path.name != "test_gates.py")
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport():
     """Let no missing part pass where KERNTEMP_ALL_PARTS says that all are there, as CI does."""
