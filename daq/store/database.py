@@ -24,9 +24,9 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
 from daq.store.file_rescue import Identity, hold, identity_of, log_cut, logs_of, rescue, settle
-from daq.store.records import StoreUnavailable
+from daq.store.records import NotAStore, StoreUnavailable
 from daq.store.sound_rows import store_label
-from daq.words import Message, say
+from daq.words import Message, say, spoken
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -80,6 +80,9 @@ class Database:
             return
         try:
             self.prepare()
+        except NotAStore as error:  # nobody has worked with it yet: a wrong path
+            self.close()
+            raise InputError(spoken(error)) from error
         except BaseException:
             self.close()
             raise
@@ -215,7 +218,7 @@ class Database:
         except (DatabaseError, sqlite3.DatabaseError) as error:
             reason = str(error.orig if isinstance(error, DatabaseError) else error)
             if "not a database" in reason:
-                raise StoreUnavailable(say("store-not-sqlite", store=self.label)) from error
+                raise NotAStore(say("store-not-sqlite", store=self.label)) from error
             if "cannot contain NUL" in reason:
                 raise InputError(say("store-nul", store=self.label)) from error
             self._refuse_own_view(error)

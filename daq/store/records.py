@@ -18,6 +18,10 @@ class StoreUnavailable(RuntimeError):
     """The store cannot do it now: locked, full, read-only, unreachable. The text says what to do."""
 
 
+class NotAStore(StoreUnavailable):
+    """The file is no store, or its first page is destroyed. The text says what to do."""
+
+
 class ScansUnreadable(InputError):
     """What is stored of a run cannot be read any more. The text says of which, where, and what to do."""
 

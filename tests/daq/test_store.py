@@ -685,8 +685,10 @@ def test_a_wrong_address_is_refused_in_one_line(url, message):
 def test_a_file_that_is_no_store_is_refused(tmp_path):
     path = tmp_path / "s.sqlite"
     path.write_text("time_s,top_1\n" * 500)
-    with pytest.raises(StoreUnavailable, match=r"not an SQLite file.* kerntemp backup --restore.* another path"):
+    with pytest.raises(InputError, match=r"not an SQLite file.* kerntemp backup --restore.* another path"):
         open_store(str(path))
+    with open_store(str(path), later=True) as store, pytest.raises(StoreUnavailable, match="not an SQLite file"):
+        store.runs()
 
 
 def test_reading_a_store_that_is_not_there_does_not_make_one(tmp_path):
