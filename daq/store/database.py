@@ -25,7 +25,7 @@ from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
 from daq.store.file_rescue import Identity, hold, identity_of, log_cut, logs_of, rescue, settle
 from daq.store.records import NotAStore, StoreUnavailable
-from daq.store.sound_rows import store_label
+from daq.store.sound_rows import is_torn, store_label
 from daq.words import Message, say, spoken
 
 # Numbers without another source were set by hand, 2026-11.
@@ -222,8 +222,11 @@ class Database:
             if "cannot contain NUL" in reason:
                 raise InputError(say("store-nul", store=self.label)) from error
             self._refuse_own_view(error)
-            if isinstance(error, sqlite3.DatabaseError) or "malformed" in reason:
+            if isinstance(error, sqlite3.DatabaseError):
                 raise StoreUnavailable(_advice(self, reason)) from error
+            if is_torn(error):
+                remedy = None if self.path else "store-remedy-server-damaged"
+                raise StoreUnavailable(_advice(self, reason, remedy)) from error
             raise
 
     def _refuse_own_view(self, error: Exception) -> None:
@@ -423,13 +426,13 @@ _REMEDIES = {
 """What to do about an engine's own words, by a sign in them; the first that fits."""
 
 
-def _advice(database: Database, reason: str) -> Message:
+def _advice(database: Database, reason: str, remedy: str | None = None) -> Message:
     """Return what the engine says, without the secrets of the address, and what to do about it."""
     store = database.label
     for secret in secrets_of(database.address):
         reason = reason.replace(secret, "***")
     reason = reason.strip().partition("\n")[0] or str(say("store-gives-no-reason"))
-    remedy = next((code for sign, code in _REMEDIES.items() if sign in reason), None)
+    remedy = remedy or next((code for sign, code in _REMEDIES.items() if sign in reason), None)
     if remedy is None:
         return say("store-refuses", store=store, reason=reason)
     return say("store-refuses-remedy", store=store, reason=reason, remedy=Message(remedy))

@@ -539,6 +539,7 @@ store-remedy-locked = ein anderer Prozess hält sie fest; andere Programme schli
 store-remedy-password = Benutzer und Passwort in der URL prüfen
 store-remedy-read-only = keine Schreibrechte; Eigentümer und Einhängung der Datei und ihres Ordners prüfen
 store-remedy-server = prüfen, ob der Datenbankserver läuft und erreichbar ist
+store-remedy-server-damaged = die Daten des Servers sind beschädigt; ein Index entsteht durch REINDEX neu, sonst die neueste Sicherung mit kerntemp backup --restore einspielen
 store-rescued = Datenspeicher { $store }: die Datei wurde gelöscht, verschoben oder ausgetauscht; alles ist an ihrem Platz neu geschrieben, die Aufzeichnung läuft dort weiter
 store-rescued-beside = Datenspeicher { $store }: an seinen Platz wurde ein anderer gelegt; dieser liegt nun unter { $aside }, der aufgezeichnete ist neu geschrieben, die Aufzeichnung läuft dort weiter
 store-rescued-cut = Datenspeicher { $store }: sein Protokoll (-wal) wurde geleert oder gekürzt; die Datei ist ohne es neu geschrieben, mit { $count ->

@@ -539,6 +539,7 @@ store-remedy-locked = another process holds it; close other programs that have t
 store-remedy-password = check user and password in the URL
 store-remedy-read-only = no permission to write; check owner and mount of the file and its folder
 store-remedy-server = check that the database server runs and is reachable
+store-remedy-server-damaged = the server's data are damaged; repair an index with REINDEX there, else restore the newest backup with kerntemp backup --restore
 store-rescued = store { $store }: the file was deleted, moved or exchanged; all of it is written to its place again and recording goes on there
 store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written again and recording goes on there
 store-rescued-cut = store { $store }: its log (-wal) was emptied or cut short; the file is written again without it, with { $count ->

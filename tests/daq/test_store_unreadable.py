@@ -6,11 +6,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from sqlalchemy import text, update
+from sqlalchemy import NullPool, create_engine, text, update
 
 from api.cli import main
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store import NewRun, RunEnd, StoreUnavailable, open_store
+from daq.store.database import store_url
 from daq.store.records import ScansUnreadable
 from daq.store.schema import RUN, SCAN
 
@@ -125,6 +126,40 @@ def tear(path, holds):
     at = content.index(holds) // size * size
     content[at : at + size] = b"\xa5" * size
     path.write_bytes(content)
+
+
+def tear_on_server(url, relation):
+    """Let a table or an index of a server's be a file of garbage, as its disk may."""
+    engine = create_engine(store_url(url), poolclass=NullPool)
+    with closing(engine.raw_connection()) as connection:
+        cursor = connection.cursor()
+        cursor.execute("SELECT setting FROM pg_settings WHERE name = 'data_directory'")
+        (folder,) = cursor.fetchone()
+        cursor.execute("SELECT pg_relation_filepath(%s)", (relation,))
+        torn = 987_654_321  # a number no file of the server's has: nothing of it is in its memory
+        file = f"{folder}/{cursor.fetchone()[0].rpartition('/')[0]}/{torn}"
+        cursor.execute("SELECT lo_from_bytea(0, %s)", (b"\xa5" * 16384,))
+        cursor.execute("SELECT lo_export(%s, %s)", (cursor.fetchone()[0], file))
+        cursor.execute("UPDATE pg_class SET relfilenode = %s WHERE oid = to_regclass(%s)", (torn, relation))
+        connection.commit()
+
+
+@pytest.mark.parametrize("relation", ["run_by_press", "scan_pkey", "event", "status_pkey"])
+def test_a_torn_page_of_a_server_is_an_answer_of_the_store_with_what_to_do(relation, postgresql_url):
+    with filled(postgresql_url, {"one": 30}) as store:
+        store.beat("record", {"x": 1})
+    tear_on_server(postgresql_url, relation)
+    with open_store(postgresql_url) as store:
+        asked = {
+            "run_by_press": store.runs,
+            "scan_pkey": lambda: store.scans_after("lab", -1, 100),
+            "event": store.journal,
+            "status_pkey": lambda: store.beat("record", {"x": 2}),
+        }
+        with pytest.raises(StoreUnavailable, match="kerntemp backup --restore") as refused:
+            asked[relation]()
+        assert "invalid page" in str(refused.value)
+        assert "REINDEX" in str(refused.value)
 
 
 def test_a_header_that_cannot_be_read_is_told_of_its_run(store_url):
