@@ -14,6 +14,17 @@ from daq.words.message import ENGLISH, sentences, words
 
 UNIT = re.compile(r"(?<=\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|W|N|kJ)(?!\w))|(?<=[±=<]) (?=\d)|(?<=\bp) (?=[=<] \d)")
 """Between a number and its unit no line ends, nor between it and its sign; on the page neither."""
+MINUS = re.compile(r"(?<![\w.-])-(?=\d)")
+"""A number's minus is no hyphen; one within a word or between two numbers is. On the page neither."""
+
+
+def typeset(text: str) -> str:
+    r"""Return words as a page shows them.
+
+    >>> typeset("lab-2026-03-04-01 moves by -1.2 % (-2.0 … 0.5)")
+    'lab-2026-03-04-01 moves by −1.2\xa0% (−2.0 … 0.5)'
+    """
+    return UNIT.sub("\N{NO-BREAK SPACE}", MINUS.sub("−", text))
 
 
 def page(template: str, language: str = ENGLISH, **content: Any) -> str:
@@ -30,7 +41,7 @@ def page(template: str, language: str = ENGLISH, **content: Any) -> str:
     def put(value: Any) -> Any:
         if isinstance(value, Markup) or not isinstance(value, Message | str):
             return value
-        return UNIT.sub("\N{NO-BREAK SPACE}", words(value, language))
+        return typeset(words(value, language))
 
     pages = Environment(
         loader=PackageLoader("softsensor", "templates"),

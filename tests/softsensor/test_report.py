@@ -18,7 +18,7 @@ from softsensor.report import fit_report_runs
 from softsensor.report.diagnosis_figures import residual_figure, votes_figure, worst_run_figure
 from softsensor.report.fit_figures import coefficients_figure, core_figure, fitted_run_figure, sheet, svg
 from softsensor.report.fit_report import fit_report
-from softsensor.report.page import UNIT
+from softsensor.report.page import typeset
 from tests.curves import CURVES
 
 
@@ -117,10 +117,15 @@ def test_the_letters_of_every_picture_can_be_read_where_a_report_shows_it_narrow
         assert min(one.get_fontsize() for one in letters) * narrowest > 9
 
 
+def test_a_numbers_minus_is_no_hyphen(campaign):
+    page = fit_report(campaign, language="de")
+    shown = re.sub(r"<(style|svg)\b.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)
+    assert "−0,1" in shown
+    assert not re.findall(r"(?<![\w.-])-\d", shown)
+
+
 def test_no_line_ends_between_a_number_and_its_sign():
-    shown = UNIT.sub(
-        "\N{NO-BREAK SPACE}", "2.7 K cooler (± 7.3 K from run to run), p = 0.0005, p < 0.0001; so p is small"
-    )
+    shown = typeset("2.7 K cooler (± 7.3 K from run to run), p = 0.0005, p < 0.0001; so p is small")
     assert shown.split(" ") == [
         *[
             "2.7\N{NO-BREAK SPACE}K",
