@@ -758,7 +758,7 @@ header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
-live-sensor-of-press = Live-Sensor der Presse { $press }
+live-sensor-of-press = Softsensor der Presse { $press }
 live-time-no-number = Abtastung um { $time }: ihre Zeit wird in Sekunden angegeben, als Zahl; bei einer Tabelle mit Zeitpunkten als Index die Sekunden seit deren erster Zeile
 live-time-not-rising = eine Messzeile bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einer bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen
 live-value-no-number = Spalte { $column }: { $value } ist keine Zahl; für einen fehlenden Wert NaN oder None angeben
@@ -1327,7 +1327,7 @@ run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts a
 sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Aktualisierung: etwa eine Minute
 sense-following = folgt { $presses }
 sense-follows-run = folgt Pressung { $run }
-sense-model-not-taken = der Live-Sensor kann das geltende Modell nicht übernehmen und arbeitet mit { $version } weiter: { $why }
+sense-model-not-taken = der Softsensor kann das geltende Modell nicht übernehmen und arbeitet mit { $version } weiter: { $why }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen
 
@@ -1509,7 +1509,7 @@ report-known = { $runs ->
        *[other] Aus diesen Pressungen bekannt
     }: { $known }.
 report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
-report-legend-coefficients = Punkte: einzelne Pressungen mit 95-%-Intervallen. Linie und Band: Mittel und σ. Kreuz: eine Pressung, in der der Koeffizient nicht bestimmbar ist, beim Mittel gezeichnet.
+report-legend-coefficients = Punkte: einzelne Pressungen mit 95-%-Intervallen. Linie und Band: Mittel und σ. Kreuz: eine Pressung, in der der Koeffizient nicht bestimmbar ist, gezeichnet beim Mittel derer, in denen er es ist; ist er es in keiner, ist nichts gezeichnet.
 report-legend-core = Kern: die Mitte der Platte nach dem angepassten Modell. Sein Band ist, was Koeffizienten, Zeitpunkte, Messkette und die Konstanten der Platte offen lassen (95 %), soweit das Modell selbst stimmt. Kernthermoelemente nehmen an der Anpassung nicht teil.
 report-legend-every-run = W/m²K, ± das halbe 95-%-Intervall. Kursiv: in dieser Pressung nicht bestimmbar; das Intervall, das die Daten offen lassen. Nicht beschrieben: das Modell passt nicht zur Pressung, aus ihr wird also nichts gelesen.
 report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, liegen sie außerhalb der Skala, und der größte Wert steht dabei.
@@ -1671,6 +1671,8 @@ api-no-night = es gibt keine Nacht { $number }
 api-no-such-language = Sprache { $language } ist nicht vorhanden; es gibt { $languages }
 api-nul-character = Pfad und Abfrage: ein NUL-Zeichen gehört nirgendwohin; weglassen
 api-only-loopback-names = ohne Zugangstoken wird hier nur unter einem Namen dieses Rechners geantwortet
+api-panel-marked = Pressung { $run }: Platte gekennzeichnet: { $verdict }
+api-panel-unmarked = Pressung { $run }: Kennzeichnung der Platte zurückgenommen
 api-press-unknown = Presse '{ $press }' gibt es nicht; es gibt: { $known }
 api-query-unknown = query.{ $name }: unbekannt; bekannt sind hier: { $known }
 api-query-unknown-of-none = query.{ $name }: unbekannt; hier ist keine bekannt

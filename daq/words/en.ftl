@@ -1499,7 +1499,7 @@ report-known = { $runs ->
        *[other] Known from these runs
     }: { $known }.
 report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
-report-legend-coefficients = Dots: single runs with 95 % intervals. Line and band: mean and σ. Cross: a run in which the coefficient is not identifiable, drawn at the mean.
+report-legend-coefficients = Dots: single runs with 95 % intervals. Line and band: mean and σ. Cross: a run in which the coefficient is not identifiable, drawn at the mean of those in which it is; where it is in none, nothing is drawn.
 report-legend-core = Core: the middle of the panel by the fitted model. Its band is what coefficients, moments, measuring chain and the panel's constants leave open (95 %), as far as the model itself holds. Core thermocouples take no part in the fit.
 report-legend-every-run = W/m²K, ± half the 95 % interval. Italics: not identifiable in that run; the interval that the data leave open. Not described: the model does not fit the run, so nothing is read from it.
 report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they are off the scale, and the largest is noted.
@@ -1661,6 +1661,8 @@ api-no-night = there is no night { $number }
 api-no-such-language = language { $language } is not available; choose one of { $languages }
 api-nul-character = path and query: a NUL character belongs nowhere; leave it out
 api-only-loopback-names = without a token only a loopback host name is answered here
+api-panel-marked = run { $run }: panel marked: { $verdict }
+api-panel-unmarked = run { $run }: mark of the panel taken back
 api-press-unknown = there is no press '{ $press }'; there are: { $known }
 api-query-unknown = query.{ $name }: unknown; known here: { $known }
 api-query-unknown-of-none = query.{ $name }: unknown; none is known here

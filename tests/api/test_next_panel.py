@@ -148,7 +148,7 @@ def test_who_may_only_read_changes_neither_panel_nor_verdict(plant, tokens):
 
 
 def test_a_verdict_stands_in_list_run_and_file_with_who_said_it(plant, tmp_path):
-    _, client, press_a_panel = plant
+    store, client, press_a_panel = plant
     run = press_a_panel()
     assert client.get(f"/runs/{run}/verdict").json() == {"run": run, "verdict": None, "who": None, "utc": None}
     client.put(f"/runs/{run}/verdict", json={"verdict": "good"})
@@ -160,6 +160,9 @@ def test_a_verdict_stands_in_list_run_and_file_with_who_said_it(plant, tmp_path)
     file.write_bytes(client.get(f"/runs/{run}/samples", params={"format": "csv"}).content)
     assert read_run(file).header["panel.verdict"] == "blister"
     assert client.put(f"/runs/{run}/verdict", json={"verdict": None}).json()["verdict"] is None
+    journal = [str(entry.message) for entry in store.journal(limit=3).items]
+    assert f"run {run}: panel marked: blister" in journal
+    assert f"run {run}: mark of the panel taken back" in journal
 
 
 @pytest.mark.parametrize("verdict", ["fine", "", 1, None])

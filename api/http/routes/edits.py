@@ -99,6 +99,12 @@ class VerdictChange(BaseModel):
     verdict: Verdict | None
 
 
+def _marked(run: str, verdict: Verdict | None) -> Message:
+    if verdict is None:
+        return say("api-panel-unmarked", run=run)
+    return say("api-panel-marked", run=run, verdict=Message(f"page-panel-{verdict}"))
+
+
 @router.get("/runs/{run}/verdict", operation_id="get_verdict", summary="What became of the panel")
 def get_verdict(store: StoreDep, run: str) -> RunVerdict:
     """Return what became of a panel, who said so last, and when; null where nobody has."""
@@ -115,7 +121,7 @@ def put_verdict(store: StoreDep, run: str, change: VerdictChange, who: Writer) -
     record = existing_run(store, run)
     if record.header.get(VERDICT) != change.verdict:
         store.annotate_run(run, {VERDICT: change.verdict}, who)
-        store.log("info", who, say("api-run-changed", run=run, fields=(VERDICT,)), record.press)
+        store.log("info", who, _marked(run, change.verdict), record.press)
     return get_verdict(store, run)
 
 
