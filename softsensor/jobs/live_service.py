@@ -423,12 +423,11 @@ class Follower:
                 raise ScansUnreadable(live.record.damage)
             estimate = live.sensor.update(time_s, values)
         except InputError as error:
+            problem = spoken(error)
             if self.refused is None:  # once a run: the estimates say the same at every scan
-                self._pending.add(("warning", spoken(error)))
-            self.refused = spoken(error)
-            estimate = Estimate(
-                time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.refused})
-            )
+                self._pending.add(("warning", problem))
+            self.refused = problem
+            estimate = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": problem}))
         self.update_us += UPDATE_SHARE * (1e6 * (time.perf_counter() - begun) - self.update_us)
         details = _details(live.sensor, estimate)
         course = live.sensor.forecast.course
