@@ -80,8 +80,6 @@ class _AlarmWatch:
         looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
         self._reported = False
         """Whether what stands still now is reported."""
-        self._trouble = ""
-        """What keeps the store away now; the terminal has it once."""
         self._threads = [
             SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._journal, looking),
             SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._journal, sending),
@@ -114,14 +112,16 @@ class _AlarmWatch:
         send_due(self._store, self._ways, self._clock, self._sending)
 
     def _every(self, seconds: float, work: Callable[[], object]) -> None:
+        """Work until the end; what keeps the store away is logged once."""
+        away = None
         while not self._stop.is_set():
             try:
                 work()
-                self._trouble = ""
+                away = None
             except (InputError, StoreUnavailable) as error:  # the first: a newer version took the store over
-                if str(error) != self._trouble:
+                if spoken(error) != away:
                     LOG.warning("%s", say("store-trying-again", why=spoken(error)))
-                self._trouble = str(error)
+                away = spoken(error)
             self._stop.wait(seconds)
 
     def _journal(self, fault: Message) -> None:

@@ -131,6 +131,21 @@ def test_a_fault_that_comes_back_after_all_went_well_is_an_alarm_again(stored, m
     assert faults() == 2
 
 
+def test_a_store_that_stays_away_is_logged_once(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(watch, "LOOK_S", 0.01)
+    monkeypatch.setattr(watch, "SEND_S", 0.01)
+    path, looked = tmp_path / "s.sqlite", []
+    path.write_text("no store " * 500)
+
+    def clock():
+        looked.append(True)
+        return datetime.now(UTC)
+
+    with open_store(str(path), later=True) as away, watching(away, [], clock):
+        wait_until(lambda: len(looked) > 20)
+    assert caplog.text.count("trying again") == 1
+
+
 FEEDS = [
     (Publisher, "_send_waiting", "mqtt", ""),
     (LeaveFeed, "_look", "leave", ""),
