@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from contextlib import ExitStack
 
 from daq.address import Address
 from daq.store.records import StoreUnavailable
@@ -17,12 +18,17 @@ RETRY_S = 2.0
 def open_when_ready(url: str | Address, stop: threading.Event, log: logging.Logger) -> Store | None:
     """Open a store, trying again while it is away; None once `stop` is set. What keeps it away is logged once."""
     logged = False
-    while not stop.is_set():
-        try:
-            return open_store(url)
-        except StoreUnavailable as error:
-            if not logged:
-                log.warning("%s", say("store-trying-again", why=spoken(error)))
-                logged = True
-        stop.wait(RETRY_S)
+    with ExitStack() as unless_ready:
+        store = unless_ready.enter_context(open_store(url, later=True))
+        while not stop.is_set():
+            try:
+                store.database.prepare()
+            except StoreUnavailable as error:
+                if not logged:
+                    log.warning("%s", say("store-trying-again", why=spoken(error)))
+                    logged = True
+                stop.wait(RETRY_S)
+            else:
+                unless_ready.pop_all()
+                return store
     return None

@@ -1,10 +1,13 @@
 """Damage beside a healthy store, and items no store takes: recording goes on, and all of it is told."""
 
 import json
+import logging
 import random
 import re
 import shutil
 import sqlite3
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import replace
 
@@ -13,6 +16,7 @@ import pytest
 from daq.store import NewRun, StoreUnavailable, open_store
 from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
+from daq.store.waiting import open_when_ready
 from daq.store.write_batch import Entry
 from daq.words import say
 from tests.daq.test_store_outbox import BEGAN, CHANNELS, Notes, batch, numbers, small_disk  # noqa: F401
@@ -219,6 +223,22 @@ def test_a_store_whose_first_page_is_destroyed_does_not_keep_a_recorder_from_rec
         wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 20)
         outbox.close()
         assert numbers(store) == list(range(30))
+
+
+def test_a_service_waits_for_a_store_whose_first_page_is_destroyed_and_begins_once_it_is_restored(
+    tmp_path, caplog
+):
+    path, stop = tmp_path / "s.sqlite", threading.Event()
+    with open_store(str(path)) as store:
+        store.register_press("lab", CHANNELS)
+    sound = path.read_bytes()
+    spoil(path, 0, 4096, b"\xa5")
+    with ThreadPoolExecutor(1) as waiting:
+        opened = waiting.submit(open_when_ready, str(path), stop, logging.getLogger("waiting"))
+        wait_until(lambda: "kerntemp backup --restore" in caplog.text)
+        path.write_bytes(sound)
+        with opened.result(60) as store:
+            assert [channel.name for channel in store.channels("lab")] == [channel.name for channel in CHANNELS]
 
 
 def test_a_sign_of_life_that_the_store_alone_refuses_is_told_once_and_scans_go_on(tmp_path):
