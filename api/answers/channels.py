@@ -11,7 +11,7 @@ from statistics import median
 from typing import Any, Literal
 
 from api.answers.decimation import number_or_none
-from api.answers.kept import Kept
+from api.answers.kept import PRESSES, Kept
 from api.answers.schemas import ChannelNow, Faces
 from daq.records import Channel, Quality, Scan
 from daq.store.records import ProcessStatus
@@ -94,8 +94,6 @@ class _Watch:
             return sum(count[name] for _, count in self.gaps)
 
 
-PRESSES = 200
-"""Presses whose channels are followed: twice what one server has."""
 _WATCHES: Kept[tuple[str, str], _Watch] = Kept(PRESSES)
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from api.answers.kept import Kept
+from api.answers.kept import PRESSES, Kept
 from api.answers.schemas import Drift
 from api.answers.words import message_answer
 from daq.store.store import Store
 
-PRESSES = 200
-"""Presses whose charts are kept in memory: twice what one server has."""
 _KEPT: Kept[tuple[object, ...], Sequence[Drift]] = Kept(PRESSES)
 
 

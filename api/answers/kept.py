@@ -10,6 +10,9 @@ from typing import Generic, TypeVar
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
+PRESSES = 200
+"""Presses of which something is kept: twice what one server has."""
+
 
 class Kept(Generic[K, V]):
     """Values by key, each worked out once; where there are more than `most`, those asked for longest ago go."""

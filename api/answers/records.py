@@ -11,7 +11,7 @@ from typing import Any
 from api.answers.advice import advice_of
 from api.answers.channels import channels_now, faces_now
 from api.answers.decimation import number_or_none
-from api.answers.kept import Kept
+from api.answers.kept import PRESSES, Kept
 from api.answers.present import SILENT_S, Present, age_of, is_of_now, leave_of, present_of
 from api.answers.schemas import (
     CoefficientFit,
@@ -45,12 +45,10 @@ BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__
 BESIDE_INVALID = {"suspected", "reason_arguments", "left_out", "limited"}
 """What of it stands beside an estimate that is not valid: forecast, profile and heat rest on that estimate."""
 
-KEPT_RUNS = 64
-"""Runs whose highest core is kept in memory: more than a page of runs shows."""
-_HIGHEST: Kept[tuple[str, str], tuple[int, float]] = Kept(KEPT_RUNS)
-KEPT_MODELS = 16
-"""Models in force whose numbers are kept in memory: one a press, for as many presses as one server has."""
-_IN_USE: Kept[tuple[object, ...], dict[str, float]] = Kept(KEPT_MODELS)
+_HIGHEST: Kept[tuple[str, str], tuple[int, float]] = Kept(PRESSES)
+"""A run's highest core; more of them than a page of runs shows."""
+_IN_USE: Kept[tuple[object, ...], dict[str, float]] = Kept(PRESSES)
+"""A press's numbers in force."""
 
 
 def phases_of(run: RunRecord) -> list[Phase]:

@@ -12,10 +12,9 @@ from typing import Any, Literal
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select
 
 from daq.store.convert import known_utc, to_json, unix_of
-from daq.store.reading import newest_first, run_record_of, runs_query
+from daq.store.reading import newest_first, of_press_by_number, run_record_of, runs_query
 from daq.store.records import Page, RunRecord, RunStatus, StoredNight
 from daq.store.schema import ARCHIVE, NIGHT, PRESS, RUN, RUN_CHANGE, UNFITTED
-from daq.store.sound_rows import rows_with_damage
 
 
 def put_night(connection: Connection, night: StoredNight) -> int:
@@ -62,10 +61,10 @@ def pressings(
     query = runs_query().where(*_finished(press), ~exists().where(ARCHIVE.c.run == RUN.c.run, unread)).limit(limit)
     if below is not None:
         query = query.where(RUN.c.run_number < below)
-    order = RUN.c.run_number.desc()
     if after is not None:
-        query, order = query.where(RUN.c.run_number > after), RUN.c.run_number.asc()
-    return [run_record_of(connection, row) for row in rows_with_damage(connection, query.order_by(order))]
+        query = query.where(RUN.c.run_number > after)
+    rows = of_press_by_number(connection, query, press, newest_first=after is None)
+    return [run_record_of(connection, row) for row in rows[:limit]]
 
 
 def count_pressings(connection: Connection, press: str, *, below: int | None = None) -> int:

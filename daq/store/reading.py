@@ -67,17 +67,31 @@ def runs(
 
 
 def _newest(connection: Connection, query: Select[Any], press: str | None) -> list[Row[Any]]:
-    """Return the rows of `query`, newest first; of a press by its number, as the index goes.
-
-    What is recorded and what was imported under one name are two presses to the store: each is asked by itself.
-    """
-    number = RUN.c.run_number
+    """Return the rows of `query`, newest first; of a press by its number, as the index goes."""
     if press is None:
-        return list(rows_with_damage(connection, query.order_by(number.desc())))
+        return list(rows_with_damage(connection, query.order_by(RUN.c.run_number.desc())))
+    return of_press_by_number(connection, query, press)
+
+
+def of_press_by_number(
+    connection: Connection, query: Select[Any], press: str, *, newest_first: bool = True
+) -> list[Row[Any]]:
+    """Return the rows of a query for runs that are a press's, by number, as the index goes."""
+    number = RUN.c.run_number.desc() if newest_first else RUN.c.run_number.asc()
+    rows = of_press(connection, query.order_by(number), RUN.c.press_id, press)
+    return sorted(rows, key=lambda row: row.run_number, reverse=newest_first)
+
+
+def of_press(
+    connection: Connection, query: Select[Any], press_id: ColumnElement[int], press: str
+) -> list[Row[Any]]:
+    """Return the rows of a query that are a press's, in the query's order where they are of one kind.
+
+    What is recorded and what was imported under one name are two presses to the store: each is asked by itself,
+    as indexes go, so that a limit of the query holds for each.
+    """
     ids = connection.execute(select(PRESS.c.press_id).where(PRESS.c.name == press)).scalars().all()
-    own = [query.where(RUN.c.press_id == press_id).order_by(number.desc()) for press_id in ids]
-    rows = [row for one in own for row in rows_with_damage(connection, one)]
-    return sorted(rows, key=lambda row: row.run_number, reverse=True)
+    return [row for one in ids for row in rows_with_damage(connection, query.where(press_id == one))]
 
 
 def cursor_number(cursor: str) -> int:
@@ -321,11 +335,13 @@ def press_journal(
     query = select(PRESS_EVENT, PRESS.c.name.label("press"), owner.c.run.label("run"))
     query = query.join(PRESS, PRESS.c.press_id == PRESS_EVENT.c.press_id)
     query = query.outerjoin(owner, and_(owner.c.run == newest, within)).order_by(number.desc()).limit(limit + 1)
-    if press is not None:
-        query = query.where(PRESS.c.name == press)
     if cursor is not None:
         query = query.where(number < cursor_number(cursor))
-    rows = connection.execute(query).all()
+    if press is None:
+        rows = list(connection.execute(query).all())
+    else:
+        rows = of_press(connection, query, PRESS_EVENT.c.press_id, press)
+        rows = sorted(rows, key=lambda row: row.press_event_id, reverse=True)[: limit + 1]
     following = str(rows[limit - 1].press_event_id) if len(rows) > limit else None
     return Page(tuple((_press_event(r), r.run) for r in rows[:limit]), following)
 

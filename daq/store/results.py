@@ -7,7 +7,19 @@ from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, literal_column, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    Table,
+    func,
+    insert,
+    literal_column,
+    or_,
+    select,
+    update,
+)
 
 from daq.records import InputError, PressState
 from daq.store.archived import archived_estimates
@@ -15,7 +27,7 @@ from daq.store.convert import known_utc, nan, null, to_json, unix_of, utc_of
 from daq.store.estimate_file import EstimateRow
 from daq.store.journal import log
 from daq.store.nights import forget_unfitted
-from daq.store.reading import cursor_number, newest_first, recorded_id, run_row
+from daq.store.reading import cursor_number, newest_first, of_press, recorded_id, run_row
 from daq.store.records import (
     CoefficientRecord,
     DiagnosisRecord,
@@ -25,7 +37,7 @@ from daq.store.records import (
     ProcessStatus,
     StoredEstimate,
 )
-from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, FIT, MODEL, RUN, STATUS
+from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, FIT, MODEL, NEWEST_FIT, PRESS, RUN, STATUS
 from daq.store.upsert import put
 from daq.words import Message, say
 
@@ -125,7 +137,7 @@ def estimates_of(connection: Connection, run: str) -> tuple[tuple[float, StoredE
 
 def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_version: str = "") -> int:
     """Keep a run's fit, one entry of ``runs`` of ``fit --json``; the newest fit of a run counts."""
-    run_row(connection, run)
+    press_id = run_row(connection, run).press_id
     row = {
         "run": run,
         "created_unix_s": _now(),
@@ -135,6 +147,7 @@ def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_vers
         "fit_json": to_json(fit),
     }
     fit_id = _key(connection, FIT, row)
+    put(connection, NEWEST_FIT, [{"press_id": press_id, "fit_id": fit_id}])
     coefficients = [
         {
             "fit_id": fit_id,
@@ -184,11 +197,11 @@ def coefficient_history(
     A cursor is the number of the last run of the page before. Runs that say the same start come as stored, those
     of unknown time last.
     """
-    start = func.coalesce(RUN.c.started_unix_s, literal_column("-1.0"))  # as in the index run_by_start
+    start = func.coalesce(RUN.c.started_unix_s, literal_column("-1.0"))  # as in the indexes by start
     newest = select(func.max(FIT.c.fit_id)).where(FIT.c.run == RUN.c.run).scalar_subquery()
     fitted = select(FIT.c.fit_id).where(FIT.c.run == RUN.c.run)
-    query = (
-        select(RUN.c.run_number, RUN.c.run, RUN.c.started_unix_s, newest.label("fit_id"))
+    query: Select[Any] = (
+        select(RUN.c.run_number, RUN.c.run, RUN.c.started_unix_s, start.label("start"), newest.label("fit_id"))
         .where(fitted.exists())
         .order_by(start.desc(), RUN.c.run_number.desc())
         .limit(limit + 1)
@@ -197,9 +210,11 @@ def coefficient_history(
         number = cursor_number(cursor)
         last = select(start).where(RUN.c.run_number == number).scalar_subquery()
         query = query.where(start <= last, or_(start < last, RUN.c.run_number < number))
-    if press is not None:
-        query = query.where(_beside_order(press))
-    found = connection.execute(query).all()
+    if press is None:
+        found = list(connection.execute(query).all())
+    else:
+        found = of_press(connection, query, RUN.c.press_id, press)
+        found = sorted(found, key=lambda row: (row.start, row.run_number), reverse=True)[: limit + 1]
     page = {run.fit_id: (run.run, utc_of(run.started_unix_s)) for run in found[:limit]}
     rows = connection.execute(
         select(COEFFICIENT, FIT.c.model_version)
@@ -227,14 +242,13 @@ def _of_fits(fits: Collection[int]) -> list[ColumnElement[bool]]:
 
 
 def newest_fit_number(connection: Connection, press: str | None = None, after: int = 0) -> int:
-    """Return the number of the fit stored last, 0 where none is newer than fit `after`.
-
-    Of a press all fits after that one are looked at until one is found.
-    """
-    query = select(FIT.c.fit_id).where(FIT.c.fit_id > after).order_by(FIT.c.fit_id.desc()).limit(1)
+    """Return the number of the fit stored last, of a press or of all, 0 where none is newer than fit `after`."""
+    query = select(func.max(FIT.c.fit_id))
     if press is not None:
-        query = query.join(RUN, RUN.c.run == FIT.c.run).where(_beside_order(press))
-    return int(connection.execute(query).scalar() or 0)
+        query = select(func.max(NEWEST_FIT.c.fit_id)).join(PRESS, PRESS.c.press_id == NEWEST_FIT.c.press_id)
+        query = query.where(PRESS.c.name == press)
+    newest = connection.execute(query).scalar() or 0
+    return int(newest) if newest > after else 0
 
 
 def fits_after(connection: Connection, number: int, limit: int = 200) -> tuple[tuple[int, str], ...]:
@@ -244,20 +258,6 @@ def fits_after(connection: Connection, number: int, limit: int = 200) -> tuple[t
     query = select(FIT.c.fit_id, FIT.c.run).where(FIT.c.fit_id > number, ~superseded.exists())
     rows = connection.execute(query.order_by(FIT.c.fit_id.desc()).limit(limit)).all()
     return tuple((row.fit_id, row.run) for row in reversed(rows))
-
-
-def _press_ids(press: str) -> Any:
-    from daq.store.schema import PRESS
-
-    return select(PRESS.c.press_id).where(PRESS.c.name == press)
-
-
-def _beside_order(press: str) -> ColumnElement[bool]:
-    """Return the condition for runs of a press, where an order is asked for and few rows of it.
-
-    An expression: the index by press would be taken instead of the order's, and all of the press sorted.
-    """
-    return (RUN.c.press_id + 0).in_(_press_ids(press))
 
 
 def put_model(

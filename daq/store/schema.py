@@ -151,6 +151,7 @@ FIT = _table(
     rmse_kelvin=Double,
     fit_json=Text,
 )
+NEWEST_FIT = _table("newest_fit", "press_id", press_id=BigInteger, fit_id=BigInteger)
 COEFFICIENT = _table(
     "coefficient",
     "fit_id name",

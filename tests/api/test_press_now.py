@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import event
 
 from api.answers.blisters import blisters_of
 from api.answers.drift import drift_of
@@ -16,6 +17,7 @@ from api.answers.records import press_now
 from api.answers.thresholds import crossed
 from api.http.news import Position, news
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
+from daq.simulated.campaign_pressfile import press_toml
 from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
 from softsensor.opening.blisters import learn_limit
@@ -322,3 +324,19 @@ def test_runs_of_unknown_date_have_no_place_on_a_control_chart(store):
             store.put_fit(f"{press}-{i:02}", fit(700.0 + 10 * (i % 3) if i < 20 else 490.0))
     assert [d.coefficient for d in drift_of(store, "told")] == ["h_pp_c"]
     assert drift_of(store, "untold") == []
+
+
+def test_what_a_hundred_presses_start_from_is_worked_out_once_each(store: Store) -> None:
+    text = press_toml()
+    names = [f"press-{i}" for i in range(100)]
+    for name in names:
+        store.import_run(Run(f"{name}-run", {}, np.arange(2.0), {"top_1": np.ones(2)}), name, text)
+    asked: list[str] = []
+    event.listen(store.database.engine, "before_cursor_execute", lambda *given: asked.append(given[2]))
+    counts = []
+    for _ in range(2):
+        asked.clear()
+        for name in names:
+            press_now(store, name, text, START)
+        counts.append(sum("fit.fit_json" in statement for statement in asked))
+    assert counts == [100, 0]

@@ -569,6 +569,7 @@ def test_a_store_of_the_first_schema_is_brought_up_to_date_with_its_data(store_u
     with open_store(store_url) as store:
         [kept] = store.coefficient_history().items
         assert (kept.value, kept.sd, kept.low, kept.high) == (700.0, 9.0, 680.0, 720.0)
+        assert (store.newest_fit_number("lab"), store.newest_fit_number("other")) == (1, 0)
         assert len(store.load_run(name).time_s) == 37
         assert store.run_record(name).started_utc == BEGAN
         assert store.contents().schema == max(steps)
