@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ class Written:
 def write_proved(path: Path, made: Columns, same: Callable[[Columns], bool]) -> Written:
     """Write a table, read it back from the disk, have every value compared, then give the file its name and sum.
 
+    What a killed job left half written is removed. Another process at the same file fails then, and loses nothing.
+
     Raises
     ------
     InputError
@@ -42,14 +45,18 @@ def write_proved(path: Path, made: Columns, same: Callable[[Columns], bool]) -> 
     if path.exists():
         return _found(path, same)
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
+    for left in path.parent.glob(f".{path.name}*.part"):
+        left.unlink(missing_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.{time.monotonic_ns()}.part")  # nobody else writes into it
+    with part.open("xb") as file:
         write_columns(made, file)
         file.flush()
         _to_disk(file.fileno())
     content = part.read_bytes()
     if not same(columns_in(content, path)):
         raise InputError(say("archive-not-as-written", file=str(path)))
+    if path.exists():
+        return _found(path, same)
     part.replace(path)
     return _with_sum(path, content)
 

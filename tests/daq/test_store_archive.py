@@ -5,6 +5,7 @@ import os
 import random
 import signal
 import time
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, prove
 from daq.store.archive_file import StoredScans, read_archive, write_archive
 from daq.store.estimate_file import beside, read_estimates
 from daq.store.proved_file import SUM
-from daq.store.records import ArchiveUnreadable
+from daq.store.records import ArchiveUnreadable, StoreUnavailable
 from daq.store.upkeep import restore
 from tests.daq.archive_1 import make as archive_1
 from tests.editions import edition
@@ -368,6 +369,30 @@ def test_killed_anywhere_archiving_loses_nothing_and_goes_on(store, tmp_path):
     assert store.archive().runs == len(MOMENTS)
     left = [p.suffix for p in sorted(folder.rglob("*")) if p.is_file()]
     assert left == [".parquet", ".sha256"] * 2 * len(MOMENTS)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_another_who_archives_the_same_run_and_is_killed_costs_nothing(store, tmp_path, monkeypatch):
+    record(store)
+    before = answers(store, "one")
+    store.use_archive(tmp_path / "archive")
+    real, begun = StoredScans.same_as, []
+
+    def same_as(mine, its):
+        if not begun:
+            begun.append(True)
+            dies_at(store, (proved_file, "write_columns", False), lambda own: own.archive_run("one"))
+        return real(mine, its)
+
+    monkeypatch.setattr(StoredScans, "same_as", same_as)
+    with suppress(StoreUnavailable):
+        store.archive_run("one")
+    assert answers(store, "one") == before
+    if not store.archive().runs:
+        store.archive_run("one")
+    assert answers(store, "one") == before
+    left = sorted(p.suffix for p in (tmp_path / "archive").rglob("*") if p.is_file())
+    assert left == [".parquet", ".parquet", ".sha256", ".sha256"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
