@@ -52,7 +52,7 @@ def only_user(places: Mapping[Path, Message]) -> Iterator[None]:
                 file = held.enter_context(lock_file(place).open("ab"))
             except OSError:
                 continue
-            _wait_for(partial(_lock, file), complaint)
+            wait_for(partial(_lock, file), complaint)
         yield
 
 
@@ -73,7 +73,7 @@ def only_user_of_file(path: Path, presses: Mapping[str, Message]) -> Iterator[No
                 for press, complaint in presses.items():
                     address = f"\0kerntemp-record-{found.st_dev}-{found.st_ino}-{press}"
                     name = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
-                    _wait_for(partial(name.bind, address), complaint)
+                    wait_for(partial(name.bind, address), complaint)
         yield
 
 
@@ -82,7 +82,8 @@ def lock_file(place: Path) -> Path:
     return place.with_name(f".{place.name}.lock")
 
 
-def _wait_for(lock: Callable[[], None], complaint: Message) -> None:
+def wait_for(lock: Callable[[], None], complaint: Message) -> None:
+    """Take a lock that raises `OSError` while another holds it; raises `InputError` after `WAIT_S`."""
     deadline = time.monotonic() + WAIT_S
     while True:
         try:

@@ -291,6 +291,8 @@ def promote_model(connection: Connection, version: str, who: str, reason: Messag
     press = connection.execute(select(MODEL.c.press).where(MODEL.c.version == version)).scalar()
     if press is None:
         raise InputError(say("model-version-missing", version=version))
+    own = select(MODEL.c.model_number).where(MODEL.c.press == press).order_by(MODEL.c.model_number)
+    connection.execute(own.with_for_update()).all()  # one after another: at most one is in force
     current = (MODEL.c.press == press, MODEL.c.status == ModelStatus.PROMOTED.value, MODEL.c.version != version)
     connection.execute(update(MODEL).where(*current).values(status=ModelStatus.RETIRED.value))
     connection.execute(update(MODEL).where(MODEL.c.version == version).values(status=ModelStatus.PROMOTED.value))

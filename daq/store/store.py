@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
 from functools import wraps
@@ -23,6 +24,7 @@ from daq.store import (
     envelope,
     journal,
     next_panel,
+    night_lock,
     nights,
     reading,
     recording,
@@ -202,6 +204,10 @@ class Store:
     diagnoses = _reads(results.diagnoses)
 
     # --- nights -------------------------------------------------------------------------------------
+
+    def only_night(self, press: str) -> AbstractContextManager[None]:
+        """Hold a press's nights against other jobs; raises `InputError` where another one works on it."""
+        return night_lock.only_night(self.database, press)
 
     put_night = _writes(nights.put_night)
     newest_nights = _reads(nights.newest_nights)

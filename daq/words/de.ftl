@@ -1261,6 +1261,7 @@ night-archive = { $press }: { $archived } Pressungen ins Archiv verschoben ({ NU
         [0] { "" }
        *[other] , { $later } folgen in den nächsten Nächten
     }
+night-at-work-already = an Presse { $press } in { $store } arbeitet schon ein anderer nächtlicher Lauf: diesen zu Ende kommen lassen
 night-compared =
     { $kind ->
         [with] { $effects }

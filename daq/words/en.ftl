@@ -1244,6 +1244,7 @@ night-archive = { $press }: { $archived } runs moved into the archive ({ NUMBER(
         [0] { "" }
        *[other] , { $later } follow in the next nights
     }
+night-at-work-already = another nightly job works on press { $press } in { $store }: let that one come to its end
 night-compared =
     { $kind ->
         [with] { $effects }

@@ -72,7 +72,19 @@ def refit_press(
         Address of a Dask scheduler; its workers take the fits instead.
     kept
         What became of its old scans before.
+
+    Raises
+    ------
+    InputError
+        Where another job works on the press.
     """
+    with store.only_night(name):
+        return _refit_press(store, name, press, workers, dask, kept)
+
+
+def _refit_press(
+    store: Store, name: str, press: Press, workers: int | None, dask: str, kept: OldScans
+) -> NightOutcome:
     started, begun = datetime.now(UTC), time.perf_counter()
     active = store.active_model(name)
     base = parse_model(active.model, f"model {active.version}") if active is not None else None

@@ -68,7 +68,18 @@ class OldScans:
 
 
 def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> OldScans:
-    """Do as the rules say, for as long as they allow; what goes wrong is in the journal and stops nothing else."""
+    """Do as the rules say, for as long as they allow; what goes wrong is in the journal and stops nothing else.
+
+    Raises
+    ------
+    InputError
+        Where another job works on the press.
+    """
+    with store.only_night(press):
+        return _keep_house(store, press, rules, now)
+
+
+def _keep_house(store: Store, press: str, rules: Rules, now: datetime) -> OldScans:
     began = time.monotonic()
     try:
         store.use_archive(rules.folder)

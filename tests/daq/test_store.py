@@ -5,6 +5,7 @@ import math
 import sqlite3
 import string
 import tempfile
+import threading
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,6 +30,7 @@ from daq.store import (
 )
 from daq.store.convert import MANY, readings_json, readings_table
 from daq.store.database import migrations, statements, store_url
+from daq.store.results import promote_model
 from daq.store.schema import METADATA
 from daq.words import say
 
@@ -551,6 +553,19 @@ def test_a_server_keeps_what_the_migrations_say_of_tables_and_columns(postgresql
         with store.database.reading() as connection:
             comment = connection.execute(text("SELECT obj_description('coefficient_history'::regclass)")).scalar()
         assert "95 % interval" in comment
+
+
+def test_of_two_models_promoted_at_once_one_is_in_force(postgresql_url):
+    with open_store(postgresql_url) as store:
+        for version in ("a", "b"):
+            store.put_model("lab", version, {})
+        with store.database.writing() as connection:
+            promote_model(connection, "a", "one")
+            other = threading.Thread(target=store.promote_model, args=("b", "another"))
+            other.start()
+            other.join(0.5)
+        other.join(60)
+        assert [m.version for m in store.models().items if m.status == "promoted"] == ["b"]
 
 
 def test_a_store_of_the_first_schema_is_brought_up_to_date_with_its_data(store_url, monkeypatch):

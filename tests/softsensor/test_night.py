@@ -21,7 +21,7 @@ from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.store import StoreUnavailable, archive, open_store
+from daq.store import Store, StoreUnavailable, archive, open_store, process_lock
 from daq.store.proved_file import sound_content
 from daq.store.schema import RUN, SCAN
 from daq.supervision import unexpected
@@ -806,6 +806,40 @@ def test_presses_whose_workers_are_killed_again_and_again_are_worked_on_here(sto
     assert {o.press for o in outcomes} == {"left", "right"} == set(store.newest_nights())
     messages = [entry.message.code for entry in store.journal(level="warning").items]
     assert messages == ["night-workers-killed"] * 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="fork is POSIX")
+@pytest.mark.parametrize("work", ["the night", "the archive"])
+def test_while_a_job_works_on_a_press_another_leaves_it_alone(
+    work, store_url, runs, tmp_path, judging_nothing, monkeypatch
+):
+    monkeypatch.setattr(process_lock, "WAIT_S", 0.1)
+    rules = Rules(tmp_path / "archive", timedelta(0), None, 60.0, datetime.now(UTC))
+    ready, go_on = os.pipe(), os.pipe()
+
+    def stands_still(*_):
+        os.write(ready[1], b"1")
+        os.read(go_on[0], 1)
+
+    with open_store(store_url) as store:
+        fill(store, runs[:2])
+    child = os.fork()
+    if not child:
+        module, name = (nightly, "agenda_of") if work == "the night" else (Store, "recheck_unsound")
+        real = getattr(module, name)
+        setattr(module, name, lambda *given: (stands_still(), real(*given))[1])
+        with open_store(store_url) as own:
+            list(refit_presses(own, {"lab": PRESS}, workers=1, rules=rules))
+        os._exit(0)
+    os.read(ready[0], 1)
+    with open_store(store_url) as store:
+        (outcome,) = refit_presses(store, {"lab": PRESS}, workers=1, rules=rules)
+        assert "another nightly job works on press lab" in str(outcome.reason)
+        os.write(go_on[1], b"11")
+        assert os.waitpid(child, 0)[1] == 0
+        assert store.newest_nights()["lab"].night["verdict"] != "failed"
+        (again,) = refit_presses(store, {"lab": PRESS}, workers=1, rules=rules)
+        assert (again.new, again.fitted) == (0, 0)
 
 
 def test_each_of_several_presses_has_a_night_of_its_own(store, runs, judging_nothing):
