@@ -11,7 +11,7 @@ import re
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -190,9 +190,13 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """Open a transaction that only reads: one consistent state of the store."""
+        """Open a transaction that only reads: one consistent state of the store, whatever is written meanwhile."""
         self._check_file()
-        with self.translated(), self.engine.connect() as connection, connection.begin() as transaction:
+        with (
+            self.translated(),
+            self.engine.connect().execution_options(**_ONE_STATE[self.dialect]) as connection,
+            connection.begin() as transaction,
+        ):
             yield connection
             transaction.rollback()  # nothing was written; SQLite commits nothing beside a torn page
 
@@ -348,6 +352,10 @@ def _parsed(url: str) -> tuple[URL, str]:
         return parsed, backend
     except (ArgumentError, NoSuchModuleError, ValueError):
         raise InputError(say("store-url-wrong", url=hidden(url))) from None  # the cause quotes the URL
+
+
+_ONE_STATE: Mapping[str, dict[str, Any]] = {"sqlite": {}, "postgresql": {"isolation_level": "REPEATABLE READ"}}
+"""What has all questions of a transaction see the same: a server's default is one state a question."""
 
 
 def _server_options(busy_s: float) -> dict[str, Any]:

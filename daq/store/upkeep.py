@@ -78,8 +78,6 @@ def back_up(database: Database, target: Path) -> Contents:
             _copy_file(database.path, part)
         else:
             with closing(Database(str(part))) as copy, database.reading() as source:
-                if database.dialect == "postgresql":
-                    source.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY"))
                 _copy_tables(source, copy)
             _make_single_file(part)
         contents = verify(part)

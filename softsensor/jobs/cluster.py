@@ -172,9 +172,17 @@ def _ended(client: Client, futures: Sequence[Any]) -> Collection[Any]:
                 return ended
         except TimeoutError:
             silent_s = time.monotonic() - working_s
-            if client.status == "running" and client.nthreads():
+            if client.status == "running" and _has_workers(client):
                 working_s = time.monotonic()
             elif silent_s > WORKERS_WAIT_S:
                 problem = say("dask-workers-lost", address=client.scheduler.address, seconds=silent_s)
                 raise WorkersLost(problem) from None
     raise WorkersLost(say("dask-scheduler-lost", address=client.scheduler.address))
+
+
+def _has_workers(client: Client) -> bool:
+    """Return whether a scheduler says that it has workers; one that stands still says nothing."""
+    try:
+        return bool(client.sync(client.scheduler.ncores, callback_timeout=SCHEDULER_WAIT_S))
+    except (OSError, TimeoutError):
+        return False

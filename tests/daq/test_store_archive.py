@@ -18,7 +18,7 @@ from sqlalchemy import text
 
 from daq.files.run_file import read_run
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
-from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, proved_file
+from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, proved_file, run_scans
 from daq.store.archive_file import StoredScans, read_archive, write_archive
 from daq.store.estimate_file import beside, read_estimates
 from daq.store.proved_file import SUM
@@ -436,6 +436,25 @@ def test_scans_that_came_meanwhile_keep_all_of_a_run_in_the_store(store, tmp_pat
         store.archive_run("one")
     assert store.archive().runs == 0
     assert len(store.load_run("one").time_s) == 59
+
+
+def test_a_run_that_is_archived_while_it_is_read_is_read_whole(store, tmp_path, monkeypatch):
+    record(store)
+    before = answers(store, "one")
+    store.use_archive(tmp_path)
+    real = run_scans.archived_scans
+
+    def meanwhile(connection, run):
+        found = real(connection, run)
+        monkeypatch.undo()
+        with open_store(store.database.address) as other:
+            other.archive_run(run)
+        return found
+
+    monkeypatch.setattr(run_scans, "archived_scans", meanwhile)
+    assert len(store.load_run("one").time_s) == 60
+    assert store.archive().runs == 1
+    assert answers(store, "one") == before
 
 
 def test_a_folder_without_what_was_archived_is_refused(store, tmp_path):

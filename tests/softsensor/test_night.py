@@ -910,7 +910,16 @@ def scheduler_and_worker(tmp_path):
 
 @pytest.mark.campaign
 @pytest.mark.parametrize(
-    ("gone", "expected"), [("worker", "no worker for"), ("scheduler", "went away over the work")]
+    ("gone", "expected"),
+    [
+        ("worker", "no worker for"),
+        ("scheduler", "went away over the work"),
+        pytest.param(
+            "scheduler that stands still",
+            "no worker for",
+            marks=pytest.mark.skipif(os.name == "nt", reason="SIGSTOP is POSIX"),
+        ),
+    ],
 )
 def test_a_scheduler_or_last_worker_that_goes_away_in_mid_work_is_told_instead_of_waited_for(
     gone, expected, scheduler_and_worker, monkeypatch
@@ -920,7 +929,11 @@ def test_a_scheduler_or_last_worker_that_goes_away_in_mid_work_is_told_instead_o
     assert next(came) == (0.1, 0.1)
     monkeypatch.setattr(cluster_of_workers, "WORKERS_WAIT_S", 0.5)
     monkeypatch.setattr(cluster_of_workers, "LOOK_S", 0.2)
-    (worker if gone == "worker" else scheduler).kill()
+    monkeypatch.setattr(cluster_of_workers, "SCHEDULER_WAIT_S", 1.0)
+    if gone == "scheduler that stands still":
+        scheduler.send_signal(signal.SIGSTOP)
+    else:
+        (worker if gone == "worker" else scheduler).kill()
     with pytest.raises(WorkersLost, match=expected):
         next(came)
 
