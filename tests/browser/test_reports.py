@@ -19,6 +19,15 @@ PRESS = daq.shared_files() / "presses/lab.toml"
 SOUGHT = ("moisture_evaporation", "edge_loss")
 """What the samples hide, and another; the page of the whole catalogue has more rows of the same kind."""
 
+BEYOND_PICTURES = """() => [...document.querySelectorAll('.profiles > div')].filter(part => {
+    const right = part.querySelector('svg').getBoundingClientRect().right;
+    return [...part.querySelectorAll('*')].some(one => one.getBoundingClientRect().right > right + 1);
+}).map(part => part.innerText)"""
+"""Profiles next to whose picture something stands that belongs under it."""
+TOO_WIDE = """() => [...document.querySelectorAll('.scroll')].filter(part => !part.querySelector('.matrix')
+    && part.scrollWidth > part.clientWidth).map(part => part.innerText)"""
+"""Tables of a telephone that go on beyond its right edge; a matrix may (WCAG 2.2, 1.4.10: two dimensions)."""
+
 
 @pytest.mark.parametrize("command", ["fit", "diagnose"])
 def test_axe_finds_nothing_in_a_report_however_much_of_it_is_unfolded(
@@ -47,6 +56,8 @@ def look_at(report: Path, browser: Browser) -> None:
         page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
         page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8"))
         assert violations(page) == [], scheme
+        assert page.evaluate(BEYOND_PICTURES) == []
         page.set_viewport_size({"width": 375, "height": 800})
         page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+        assert page.evaluate(TOO_WIDE) == []
         context.close()
