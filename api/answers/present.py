@@ -156,7 +156,7 @@ def _beside(estimate: StoredEstimate, state: State, run: RunRecord | None) -> In
         return Invalid(InvalidReason.PRESS_STATE_UNKNOWN)
     if run is None or estimate.number < run.first_scan or estimate.state == "idle":
         return Invalid(InvalidReason.NO_ESTIMATE_YET)
-    return Invalid(InvalidReason.PRESS_STATE_UNKNOWN) if estimate.valid and estimate.state != state else None
+    return Invalid(InvalidReason.ESTIMATE_BEHIND) if estimate.valid and estimate.state != state else None
 
 
 def as_of_now(

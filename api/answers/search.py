@@ -80,7 +80,13 @@ class Wanted:
 
 
 def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[list[RunHit], int | None]:
-    """Return some of the runs looked for, and where the next ones begin, None after the last."""
+    """Return some of the runs looked for, and where the next ones begin, None after the last.
+
+    Raises
+    ------
+    InputError
+        For a bound on a number that none of them has: it is misspelt rather than out of reach.
+    """
     runs = every(lambda at: _page_at(store, wanted, at))
     records = [r for r in runs if _matches(r, wanted)]
     names = [r.run for r in records]
@@ -88,6 +94,8 @@ def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[l
     fits = store.fits(names) if any(name.startswith(COEFFICIENT) for name in wanted.numbers) else {}
     cores = _cores_of(store, records) if wanted.numbers.intersection(CORE) else {}
     found = [(r, numbers_of(r, cores.get(r.run), errors.get(r.run), fits.get(r.run))) for r in records]
+    fitted = (fit.get("coefficients", {}) for fit in fits.values())
+    check_bounds(wanted.bounds, set().union(*fitted, *(numbers for _, numbers in found)))
     found = [(r, numbers) for r, numbers in found if all(bound.holds(numbers) for bound in wanted.bounds)]
     if wanted.order:
         found = _ordered(found, wanted.order)
@@ -177,6 +185,12 @@ def _cores_of(store: Store, records: Sequence[RunRecord]) -> dict[str, RunCore]:
 
     done = [(store.label, record.run) for record in records if record.status is not RunStatus.OPEN]
     return {run: core for (_, run), core in _CORES.get_all(done, look_up).items()}
+
+
+def check_bounds(bounds: Iterable[Bound], known: set[str]) -> None:
+    """Refuse a bound on what none of the runs has, whose names are `known`. Raises `InputError`."""
+    if lacking := [bound.name for bound in bounds if known and bound.name not in known]:
+        raise InputError(say("api-search-unknown", name=lacking[0], known=tuple(sorted(known))))
 
 
 def check_order(order: str) -> None:

@@ -1212,6 +1212,7 @@ reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestart
 reason-clock-ahead = die Messzeilen tragen eine Zeit, die der Uhr dieses Rechners { NUMBER($ahead_s, maximumFractionDigits: 0) } s voraus ist: Uhren stellen
 reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht besser als auf 50 % bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Pressungen hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
 reason-core-impossible = der berechnete Kern hat { NUMBER($core_C, maximumFractionDigits: 0) } °C, was unmöglich ist: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat die Platte berührt
+reason-estimate-behind-the-press = die Presse hat sich eben bewegt, und der Softsensor ist noch nicht so weit
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
 reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
 reason-insertion-not-seen = Kern nicht bestimmbar: nichts hat gezeigt, wann die Platte eingelegt wurde
@@ -1687,6 +1688,7 @@ api-run-without-press-file = Pressung { $run }: ihre Presse wurde ohne Pressenda
 api-scans-span = von { $begin } bis { $end }: das Ende muss nach dem Anfang liegen, höchstens 25 h danach; ein anderes Ende wählen oder Tag für Tag fragen
 api-search-bound = '{ $bound }' ist keine Grenze; zum Beispiel core_at_opening_C>=95 schreiben
 api-search-order = '{ $order }' ist keine Reihenfolge; eines von { $known }, oder ein Schlüssel des Kopfes
+api-search-unknown = keine Pressung hat die Zahl '{ $name }'; es gibt { $known }
 api-server-failed = der Server ist an dieser Anfrage gescheitert; siehe sein Protokoll
 api-slows-wrong-tokens = zu viele falsche Zugangstoken von { $address }; weitere werden langsam beantwortet
 api-token-exists = das Zugangstoken { $name } gibt es schon; erst zurückziehen oder einen anderen Namen wählen

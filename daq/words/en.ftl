@@ -1195,6 +1195,7 @@ reason-calculation-failed = the calculation failed and is being restarted
 reason-clock-ahead = the readings are stamped { NUMBER($ahead_s, maximumFractionDigits: 0) } s ahead of this computer's clock: set the clocks
 reason-constants-far-from-the-material = the panel's constants are known to no better than 50 %: the header's are far from those of its material, or the last runs had them far from the header's; correct them, or state how sure they are (KEY.sd)
 reason-core-impossible = the calculated core is at { NUMBER($core_C, maximumFractionDigits: 0) } °C, which is impossible: nothing colder than { NUMBER($lowest_C, maximumFractionDigits: 0) } °C or hotter than { NUMBER($highest_C, maximumFractionDigits: 0) } °C has touched the panel
+reason-estimate-behind-the-press = the press has just moved, and the live sensor has yet to follow
 reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
 reason-faces-too-cold-for-this-panel = the faces are far colder than those of the panel that was pressed; another panel may lie there
 reason-insertion-not-seen = core not observable: nothing has shown when the panel was inserted
@@ -1677,6 +1678,7 @@ api-run-without-press-file = run { $run }: its press was stored without a press 
 api-scans-span = from { $begin } to { $end }: a stretch ends after it begins, and within 25 h; ask for a later end, or day by day
 api-search-bound = '{ $bound }' is no bound; write for example core_at_opening_C>=95
 api-search-order = '{ $order }' is no order; one of { $known }, or a header key
+api-search-unknown = no run has the number '{ $name }'; there are { $known }
 api-server-failed = the server failed on this request; see its log
 api-slows-wrong-tokens = too many wrong tokens from { $address }; further ones are answered slowly
 api-token-exists = token { $name } exists; revoke it first or choose another name

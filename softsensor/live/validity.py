@@ -15,7 +15,7 @@ class InvalidReason(StrEnum):
     """What keeps the core from being known. The values are what CSV, store and REST carry."""
 
     PRESS_STATE_UNKNOWN = "press state unknown"
-    """Nothing has shown yet whether the press is open or closed, or recorder and live sensor differ on it."""
+    """Nothing has shown yet whether the press is open or closed."""
     PLATEN_READING_MISSING = "platen reading missing"
     """A measured platen has not been read yet, or for longer than its last reading is held."""
     PLATENS_MISSING_AT_INSERTION = "platen reading missing at insertion"
@@ -64,6 +64,8 @@ class InvalidReason(StrEnum):
     """Scans are of now and the newest estimate is not."""
     NO_ESTIMATE_YET = "no estimate yet"
     """The store has no estimate yet, or none of the run that is being pressed."""
+    ESTIMATE_BEHIND = "estimate behind the press"
+    """The press has moved, and the newest estimate is of the state before."""
     NO_SCANS = "no scans"
     """The newest scan is not of now: nothing is being recorded."""
     CLOCK_AHEAD = "clock ahead"

@@ -150,7 +150,7 @@ def test_leave_to_open_is_withdrawn_from_the_stream_when_nobody_says_so_any_more
         assert leave_of(stream.wait("estimate", 3))[-1] == (number, True, "")
         opened = scan(number + 1, 92.0)
         store.append_scans(key, [opened], [PressEvent(PressEventKind.OPENED, 1.0, 1.0)])
-        assert leave_of(stream.wait("estimate", 4))[-1] == (number, False, "press state unknown")
+        assert leave_of(stream.wait("estimate", 4))[-1] == (number, False, "estimate behind the press")
         assert len(stream.wait("estimate", 4)) == 4
     finally:
         stream.close()

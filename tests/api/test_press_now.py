@@ -176,7 +176,7 @@ def test_what_is_told_says_until_when_it_may_be_acted_on(store):
 @pytest.mark.parametrize(
     ("kind", "state", "reason"),
     [
-        (KIND.OPENED, "open", "press state unknown"),  # which the sensor has not taken in
+        (KIND.OPENED, "open", "estimate behind the press"),  # which the sensor has not taken in
         (KIND.REMOVED, "idle", "no panel in the press"),
     ],
 )

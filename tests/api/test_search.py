@@ -46,6 +46,16 @@ def test_bounds_hold_for_header_keys_and_for_the_core_at_opening(found, client, 
     assert found(f"core_at_opening_C>{middle}", q="film") == [hotter.removeprefix("lab-2026-03-04-")]
 
 
+def test_a_bound_on_a_number_that_no_run_has_is_refused_and_not_taken_for_one_that_no_run_meets(found, client):
+    for name in ("rmse", "panel.thicknes_mm", "h_pp"):
+        answer = client.get("/api/v1/search", params={"where": f"{name}>0"})
+        assert answer.status_code == 422
+        assert f"'{name}'" in answer.json()["detail"]
+        assert "panel.thickness_mm" in answer.json()["detail"]
+    assert found("core_at_opening_C>900") == []
+    assert found("rmse>0", q="no such film") == []
+
+
 def test_runs_come_in_the_order_asked_for_and_those_without_the_number_last(found):
     assert found(sort="setting.pressure_N_cm2", q="film") == ["01", "02"]
     assert found(sort="-setting.pressure_N_cm2", q="film") == ["02", "01"]

@@ -196,6 +196,18 @@ def test_before_the_first_estimate_no_empty_axes_stand_on_the_wall_and_no_pressi
     writer.join(240)
 
 
+def test_a_bound_may_be_written_with_spaces_around_its_sign(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing()
+    page.goto(f"{server.url}#/runs")
+    bounds = page.get_by_placeholder("panel.thickness_mm=16 rmse_K<1")
+    with page.expect_response(lambda answer: "press_time_s" in answer.url and "99" in answer.url) as met:
+        bounds.fill("press_time_s > 0.5  press_time_s<= 99")
+    assert met.value.status == 200
+    expect(page.get_by_role("link", name="lab-0")).to_have_count(1)
+
+
 def test_the_words_of_a_link_drawn_as_a_button_stand_in_its_middle_also_where_fingers_press_it(served, browser):
     server, feed, _ = served
     feed.pause_s = 0.0

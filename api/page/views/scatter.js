@@ -9,7 +9,7 @@ const AXES = ["x", "y"];
 
 // What the runs are looked for by, from the address of list and scatter.
 export const asked = (filter, context) => ({
-  press: context.presses.length > 1 ? context.press : "", q: filter.q, where: filter.where.split(/\s+/).filter(Boolean), verdict: filter.verdict, status: filter.status,
+  press: context.presses.length > 1 ? context.press : "", q: filter.q, where: filter.where.replace(/\s*([<>=]+)\s*/g, "$1").split(/\s+/).filter(Boolean), verdict: filter.verdict, status: filter.status,
   from: midnight(filter.from, 0), to: midnight(filter.to, 1),
 });
 
