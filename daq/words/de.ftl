@@ -1638,7 +1638,7 @@ alarm-core-above = { $press }: der Kern ist über { NUMBER($limit, maximumFracti
 alarm-drift = { $press }: { $coefficient } liegt seit { $since } bei { NUMBER($percent, maximumFractionDigits: 0) } % des Gewohnten
 alarm-file = { $path }: nicht lesbar: { $why }
 alarm-language = email.language = { $language } ist nicht vorhanden; es gibt { $known }
-alarm-limits-crossed = platen_below_C muss unter platen_above_C liegen
+alarm-limits-crossed = die Grenze, unter der die Heizplatte zu kalt ist ({ NUMBER($below_C) } °C), muss unter der liegen, über der sie zu heiß ist ({ NUMBER($above_C) } °C)
 alarm-missing = es gibt keinen Alarm { $number }
 alarm-not-delivered = { $way }: Alarm { $number } wurde nicht angenommen, neuer Versuch folgt: { $why }
 alarm-platen-above = { $press }: { $channel } ist über { NUMBER($limit, maximumFractionDigits: 1) } °C

@@ -1628,7 +1628,7 @@ alarm-core-above = { $press }: the core is above { NUMBER($limit, maximumFractio
 alarm-drift = { $press }: { $coefficient } is at { NUMBER($percent, maximumFractionDigits: 0) } % of what it was since { $since }
 alarm-file = { $path }: cannot be read: { $why }
 alarm-language = email.language = { $language } is not available; choose one of { $known }
-alarm-limits-crossed = platen_below_C must lie below platen_above_C
+alarm-limits-crossed = the limit below which the platen is too cold ({ NUMBER($below_C) } °C) must lie below that above which it is too hot ({ NUMBER($above_C) } °C)
 alarm-missing = there is no alarm { $number }
 alarm-not-delivered = { $way }: alarm { $number } was not accepted, trying again: { $why }
 alarm-platen-above = { $press }: { $channel } is above { NUMBER($limit, maximumFractionDigits: 1) } °C

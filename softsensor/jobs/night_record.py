@@ -42,7 +42,7 @@ def night_record(store: Store, outcome: NightOutcome) -> NightRecord:
 
 
 def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
-    """Return what the store holds of a night; of one that others followed, without what came after it.
+    """Return what the store holds of a night, without what came after it.
 
     Fits and the versions' standing are today's.
     """
@@ -59,8 +59,7 @@ def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
         named=tuple(content["named"]),
         drifts=tuple((d["coefficient"], Message.from_json(d["said"])) for d in content.get("drifts", ())),
     )
-    newest = store.nights(press=night.press, limit=1).items[0].number == night.number
-    return _record(store, outcome, night.ended_utc, None if newest else night.ended_utc)
+    return _record(store, outcome, night.ended_utc, night.ended_utc)
 
 
 def _record(
@@ -76,17 +75,22 @@ def _record(
         active = store.model(outcome.version) if outcome.version else None
     diagnoses = every(lambda cursor: store.diagnoses(press=press, cursor=cursor, limit=1))
     models = every(lambda cursor: store.models(press=press, cursor=cursor, limit=SHOWN_MODELS))
+    runs = every(lambda cursor: store.runs(press=press, cursor=cursor, limit=SHOWN_RUNS))
     failures = every(
         lambda cursor: store.journal(press=press, level="warning", cursor=cursor, limit=SHOWN_ENTRIES)
     )
-    diagnosis = next((d for d in diagnoses if until is None or d.created_utc <= until), None)
+
+    def there(utc: datetime | None) -> bool:
+        return until is None or utc is None or utc <= until  # a run of an unknown date came in by a file
+
+    diagnosis = next((d for d in diagnoses if there(d.created_utc)), None)
     return NightRecord(
         outcome=outcome,
         written=written,
         press_file=store.presses().get(press, ""),
         in_force=active.model if active else None,
         diagnosis=diagnosis.diagnosis if diagnosis else None,
-        models=list(islice((m for m in models if until is None or m.created_utc <= until), SHOWN_MODELS)),
-        runs=[(r, store.fit(r.run)) for r in store.runs(press=press, until=until, limit=SHOWN_RUNS).items],
-        failures=list(islice((e for e in failures if until is None or e.utc <= until), SHOWN_ENTRIES)),
+        models=list(islice((m for m in models if there(m.created_utc)), SHOWN_MODELS)),
+        runs=[(r, store.fit(r.run)) for r in islice((r for r in runs if there(r.started_utc)), SHOWN_RUNS)],
+        failures=list(islice((e for e in failures if there(e.utc)), SHOWN_ENTRIES)),
     )

@@ -628,6 +628,8 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     when = r"\d{4}-\d\d-\d\d \d\d:\d\d UTC"
     assert re.sub(when, "", kept) == re.sub(when, "", drawn)
     store.put_diagnosis("lab", RIM)
+    store.log("warning", "sense", "what came in the morning", "lab")
+    assert night_report(stored_night_record(store, night), link="http://press:8765/") == kept
     page = write_report(night_record(store, outcome), tmp_path / "reports").read_text(encoding="utf-8")
     page = page.replace("\N{NO-BREAK SPACE}", " ")
     assert f"Model {outcome.version} was promoted" in page

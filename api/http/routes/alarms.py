@@ -66,10 +66,9 @@ def list_thresholds(store: StoreDep, presses: PressesDep) -> AlarmThresholdsList
 def put_thresholds(store: StoreDep, press: str, limits: AlarmLimits, who: Writer) -> AlarmThresholds:
     """Replace the limits of a press; needs a token with scope write."""
     existing_press(store, press)
-    if None not in (limits.platen_below_C, limits.platen_above_C) and not (
-        float(limits.platen_below_C or 0.0) < float(limits.platen_above_C or 0.0)
-    ):
-        raise ProblemError(422, say("alarm-limits-crossed"))
+    below, above = limits.platen_below_C, limits.platen_above_C
+    if below is not None and above is not None and not below < above:
+        raise ProblemError(422, say("alarm-limits-crossed", below_C=float(below), above_C=float(above)))
     given = limits.model_dump()
     store.put_alarm_thresholds(press, given, who)
     fields = tuple(name for name, value in given.items() if value not in (None, False))
