@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from daq.given import names_of
@@ -18,7 +19,7 @@ from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_messages
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.face.inputs import read_press, runs_of
-from softsensor.face.showing import UNKNOWN, shown, table_html
+from softsensor.face.showing import UNKNOWN, WIDTH, shown, table_html
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import diagnosed_model
 
@@ -83,8 +84,9 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         """Show verdict, causes, error before and after, and what to measure next."""
         head, *rest = self._lines()
-        table = [self.frame().to_string(float_format="%.4g", na_rep=UNKNOWN)] if len(self.frame()) else []
-        return "\n".join([head, *table, *rest])
+        digits: dict[str, Any] = {"float_format": "%.4g", "na_rep": UNKNOWN, "line_width": WIDTH}
+        table = [self.frame().to_string(**digits)] if len(self.frame()) else []
+        return "\n".join([fill(head, WIDTH), *table, *(fill(line, WIDTH) for line in rest)])
 
     def _repr_html_(self) -> str:
         head, *rest = (html.escape(line) for line in self._lines())

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 UNKNOWN = "–"
 """Stands in what is shown where a number is not known."""
 
+WIDTH = 100
+"""Characters of a line that print narrow, as a notebook beside its list of files. Set by hand, 2026-11."""
+
 
 def table_html(frame: pd.DataFrame, digits: str = "%.4g") -> str:
     """Return a table for a notebook, long ones shortened; a dash where a number is not known."""

@@ -12,11 +12,10 @@ from daq.records import InputError, Run
 from daq.tables import at
 from daq.words import say
 from softsensor.heat.model_file import ModelFile
-from softsensor.live.leaving import Leave
-from softsensor.live.sensor import Estimate, LiveSensor
+from softsensor.live.sensor import LEAVES, NUMBERS, Estimate, LiveSensor
 
-NUMBERS = ("core_C", "core_sd_K", "core_low_C", "core_high_C")
-LEAVES = ("cure_top", "cure_bottom", "cure_low", "steam_kPa", "steam_high_kPa")
+OF_A_RESIN = (*LEAVES, "open_now")
+COLUMNS = ("time_s", "state", *NUMBERS, "valid", "reason", *OF_A_RESIN)
 
 
 @dataclass(frozen=True)
@@ -37,25 +36,11 @@ class Replay:
         head = f"Replay of run {self.run.name}: {len(self.estimates)} scans, {len(valid)} valid"
         return "\n".join([head, *last])
 
-    def columns(self) -> dict[str, list[float] | list[int] | list[str]]:
+    def columns(self) -> dict[str, list[float | int | str]]:
         """Return it as the columns of ``predict --out``."""
-        rows = self.estimates
-        return {
-            "time_s": [row.time_s for row in rows],
-            "state": ["unknown" if row.state is None else str(row.state) for row in rows],
-            **{name: [float(getattr(row, name)) for row in rows] for name in NUMBERS},
-            "valid": [int(row.valid) for row in rows],
-            "reason": ["" if row.invalid is None else row.invalid.line for row in rows],
-            **(self._leaves() if self.resin else {}),
-        }
-
-    def _leaves(self) -> dict[str, list[float] | list[int] | list[str]]:
-        """Return the columns there are with a resin."""
-        leaves = [row.leave or Leave() for row in self.estimates]
-        return {
-            **{name: [float(getattr(leave, name)) for leave in leaves] for name in LEAVES},
-            "open_now": [int(row.open_now) for row in self.estimates],
-        }
+        rows = [one.row() for one in self.estimates]
+        names = COLUMNS if self.resin else [name for name in COLUMNS if name not in OF_A_RESIN]
+        return {name: [row[name] for row in rows] for name in names}
 
 
 def replay(

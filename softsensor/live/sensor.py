@@ -23,6 +23,7 @@ after one earlier run 5.6 and 3.2 K; without a cause to be found no worse than 0
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -64,6 +65,9 @@ WIDEST_K = 25.0
 """Half-width of a band beyond which the core is not observable. Set by hand, 2026-11. [K]"""
 OF_THE_CORE_ALONE = (InvalidReason.BAND_TOO_WIDE, InvalidReason.ANOTHER_PANEL)
 """Reasons that leave the faces known."""
+NUMBERS = ("core_C", "core_sd_K", "core_low_C", "core_high_C")
+LEAVES = ("cure_top", "cure_bottom", "cure_low", "steam_kPa", "steam_high_kPa")
+"""Of an estimate, and of its leave: numbers that a table of estimates has."""
 FORECAST_S = 2.0
 """How often the sensor looks ahead. [s]"""
 
@@ -104,6 +108,23 @@ class Estimate:
     def reason(self) -> InvalidReason | None:
         """Why it is not valid, without the arguments."""
         return None if self.invalid is None else self.invalid.reason
+
+    def row(self) -> dict[str, float | int | str]:
+        """Return it as a row of ``predict --out`` with a resin; NaN where something is not known."""
+        leave = self.leave or Leave()
+        return {
+            "time_s": self.time_s,
+            "state": "unknown" if self.state is None else str(self.state),
+            **{name: float(getattr(self, name)) for name in NUMBERS},
+            "valid": int(self.valid),
+            "reason": "" if self.invalid is None else self.invalid.line,
+            **{name: float(getattr(leave, name)) for name in LEAVES},
+            "open_now": int(self.open_now),
+        }
+
+    def to_json(self) -> str:
+        """Return its row of ``predict --out`` as JSON; null where something is not known."""
+        return json.dumps({name: None if value != value else value for name, value in self.row().items()})
 
     __repr__ = on_screen
     _repr_html_ = in_notebook

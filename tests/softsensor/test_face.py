@@ -843,6 +843,16 @@ def test_every_public_result_is_a_table_a_figure_a_screen_a_notebooks_view_and_j
         assert "<p>" in result._repr_html_() or "<table" in result._repr_html_()
         assert json.loads(result.to_json(), parse_constant=no_number)
     assert "<table" in results["advise"]._repr_html_()
+    assert max(map(len, repr(results["diagnose"]).splitlines())) <= 100
+
+
+def test_an_estimate_is_json_as_its_row_of_the_prediction(results):
+    predicted = results["predict"]
+    table = json.loads(predicted.to_json())
+    for i, estimate in enumerate(predicted.replayed.estimates):
+        row = json.loads(estimate.to_json(), parse_constant=no_number)
+        assert {name: row[name] for name in table} == {name: values[i] for name, values in table.items()}
+        assert (row["steam_kPa"], row["open_now"]) == (None, 0)
 
 
 def test_diagnosis_and_plan_report_how_far_they_are():
