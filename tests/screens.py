@@ -1,10 +1,18 @@
 """What a screen holds, and everything of ours that a result leads to by its public attributes."""
 
+import html
 import math
+import re
 from collections.abc import Mapping
 
 ROWS, COLUMNS = 25, 120
 """A terminal's: one screen."""
+
+
+def text_of(page):
+    """Return the text of a report's file as a terminal writes it: without tags, with its own spaces and minus."""
+    text = re.sub("<[^>]+>", "", html.unescape(page.read_text(encoding="utf-8")))
+    return text.replace("\N{NO-BREAK SPACE}", " ").replace("\N{MINUS SIGN}", "-")
 
 
 def rows_of(text):

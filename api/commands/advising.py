@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from api.commands.calling import taking
-from api.commands.fitting import JsonOut
+from api.commands.fitting import HtmlOut, JsonOut, Outputs
 from api.commands.inputs import PressFile
 from api.commands.planning import parse_ranges
 from api.outputs import as_json, check_writable, spoken_language, working, write_all, write_line
@@ -54,6 +54,7 @@ class AdviseOptions:
     open_for: OpenFor = USUAL_OPEN_S
     json: JsonOut = None
     svg: SvgFile = None
+    html: HtmlOut = None
 
 
 @taking(AdviseOptions)
@@ -62,7 +63,7 @@ def advise(options: AdviseOptions) -> None:
     from softsensor.face.advising import advise as look
 
     given = [path for path in (options.press, options.model, options.resin) if path is not None and path.is_file()]
-    check_writable(options.json, options.svg, inputs=given)
+    check_writable(options.json, options.svg, options.html, inputs=given)
     ranges, header = parse_ranges(options.ranges or ()), parse_panel(options.panel or ())
     limits = {
         "core_least_C": options.core_least,
@@ -83,7 +84,7 @@ def advise(options: AdviseOptions) -> None:
             open_s=options.open_for,
             progress=lambda _what, share: done(round(100 * share)),
         ).advised
-        outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
+        outputs: Outputs = {}
         if options.json is not None:
             outputs[options.json] = as_json(found.as_json())
         if options.svg is not None:
@@ -91,6 +92,10 @@ def advise(options: AdviseOptions) -> None:
             from softsensor.report.fit_figures import svg as drawn
 
             outputs[options.svg] = drawn(advice_figure(found, spoken_language()))
+        if options.html is not None:
+            from softsensor.report.planning_report import advice_report
+
+            outputs[options.html] = advice_report(found, spoken_language())
         write_all(outputs)
     from softsensor.planning.summary import advice_messages
 

@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from api.commands.calling import taking
-from api.commands.fitting import JsonOut
+from api.commands.fitting import HtmlOut, JsonOut, Outputs
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
 from api.commands.until import Until, shortened
-from api.outputs import as_json, check_writable, working, write_all, write_line
+from api.outputs import as_json, check_writable, spoken_language, working, write_all, write_line
 from daq.records import InputError
 from daq.words import say
 
@@ -28,6 +28,7 @@ class PlanOptions:
     runs: Runs
     press: PressFile
     json: JsonOut = None
+    html: HtmlOut = None
     ranges: RangesGiven = None
     until: Until = None
     store: StoreUrl = None
@@ -39,9 +40,8 @@ def plan(options: PlanOptions) -> None:
     """Say which pressings are worth most next, and what each would settle."""
     from daq.press.press_file import read_press
 
-    check_writable(
-        options.json, inputs=files_read(*options.runs, options.press, store=options.store, config=options.config)
-    )
+    read = files_read(*options.runs, options.press, store=options.store, config=options.config)
+    check_writable(options.json, options.html, inputs=read)
     ranges = parse_ranges(options.ranges or ())
     described = read_press(options.press)
     loaded = shortened(load_runs(options.runs, described, options.store, options.config), described, options.until)
@@ -56,7 +56,14 @@ def plan(options: PlanOptions) -> None:
         plan = look_ahead(
             described, found, ranges, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
         )
-        write_all({} if options.json is None else {options.json: as_json(plan.as_json())})
+        outputs: Outputs = {}
+        if options.json is not None:
+            outputs[options.json] = as_json(plan.as_json())
+        if options.html is not None:
+            from softsensor.report.planning_report import plan_report
+
+            outputs[options.html] = plan_report(plan, spoken_language())
+        write_all(outputs)
     from softsensor.planning.summary import plan_messages
 
     for line in plan_messages(plan):

@@ -24,7 +24,7 @@ from softsensor.opening.kinetics import equivalent_course, kinetics_of
 from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, _energy, advise, limits_of, quantities_of
 from softsensor.planning.made_up import DEPTHS, PLATENS, Programme, Task, ensemble, made_up_run
 from softsensor.planning.summary import advice_title
-from tests.screens import flooding
+from tests.screens import flooding, text_of
 
 ROOT = Path(__file__).parents[2]
 RESIN = ROOT / "deploy" / "resins" / "melamine_formaldehyde.toml"
@@ -259,12 +259,15 @@ def test_a_press_that_never_opens_has_no_press_time() -> None:
 def test_the_command_writes_answer_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "press.toml").write_text(press_toml(), encoding="utf-8")
     (tmp_path / "model.json").write_text(model_text(model()), encoding="utf-8")
-    out, svg = tmp_path / "advice.json", tmp_path / "advice.svg"
+    out, svg, report = (tmp_path / f"advice.{ending}" for ending in ("json", "svg", "html"))
     command = ["advise", "--press", str(tmp_path / "press.toml"), "--model", str(tmp_path / "model.json")]
     options = ["--resin", str(RESIN), "--price", "0.3", "--json", str(out), "--svg", str(svg)]
+    options += ["--html", str(report)]
     options += ["--panel", "panel.thickness_mm=8", "--range", "platen_temperature_C=180:190"]
     assert main([*command, *options]) == 0
     output = capsys.readouterr().out
+    shown = text_of(report)
+    assert all(line in shown for line in output.splitlines() if str(tmp_path) not in line)
     written = json.loads(out.read_text(encoding="utf-8"))
     keys = {"panel", "resin", "limits", "probability", "goal", "best", "programs", "tradeoff", "measure"}
     assert set(written) == keys

@@ -40,7 +40,7 @@ from softsensor.planning.summary import plan_messages
 from softsensor.signals.digest import digest_run
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.moments import moments_seen
-from tests.screens import flooding
+from tests.screens import flooding, text_of
 
 
 def test_n_runs_know_a_straight_line_as_n_times_its_readings_do() -> None:
@@ -222,9 +222,14 @@ def test_the_command_says_what_is_open_and_writes_it(
     runs = write_campaign(tmp_path, make_campaign(7, 3, None, Plan(rate_hz=1.0, thickness_mm=16.0)))
     out = tmp_path / "plan.json"
     ranges = ["--range", "thickness_mm=8:19", "--range", "press_time_s=40:60"]
-    command = ["plan", *map(str, runs), "--press", str(tmp_path / "press.toml"), "--json", str(out), *ranges]
+    report = tmp_path / "plan.html"
+    written_to = ["--json", str(out), "--html", str(report)]
+    command = ["plan", *map(str, runs), "--press", str(tmp_path / "press.toml"), *written_to, *ranges]
     assert main(command) == 0
     output = capsys.readouterr().out
+    shown = text_of(report)
+    assert all(line in shown for line in output.splitlines() if str(tmp_path) not in line)
+    assert "<svg" in report.read_text(encoding="utf-8")
     written = json.loads(out.read_text(encoding="utf-8"))
     assert set(written) == {"runs", "verdict", "usual", "ranges", "open"}
     assert written["runs"] == 3
