@@ -61,10 +61,10 @@ class Scene:
 class Conversion:
     r"""Heat released once, as something in the cells is used up.
 
-    With u from 0 to 1 what is used up, and T in kelvin for the first kind, in °C for the second:
+    With Z from 0 to 1 what is used up, and T in kelvin for the first kind, in °C for the second:
 
-    $$q = Q \frac{du}{dt}, \quad
-    \frac{du}{dt} = (1 - u) a e^{-\frac{b}{R} \left(\frac{1}{T} - \frac{1}{c}\right)}$$
+    $$q = Q \frac{dZ}{dt}, \quad
+    \frac{dZ}{dt} = (1 - Z) (1 - u + u Z) a e^{-\frac{b}{R} \left(\frac{1}{T} - \frac{1}{c}\right)}$$
     """
 
     heat: Numbers
@@ -77,6 +77,8 @@ class Conversion:
     """[J/mol] or [°C]"""
     c: Any
     """[K]"""
+    own: Any = 0.0
+    """u, the share of the rate that needs what has already reacted; below 1, or nothing would begin."""
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Layout:
     no_heat: Array
     """Of no conversion (0, n)."""
     no_law: Array
-    """(0, 4)"""
+    """(0, 5)"""
     unmoved: implicit_steps.Tangents
     """Of a stack without conversions by no parameter."""
 
@@ -100,7 +100,7 @@ class Layout:
             radiates=bool((flux[:, 1] > 0).any()),
             zeros=np.zeros(n),
             no_heat=np.zeros((0, n)),
-            no_law=np.zeros((0, 4)),
+            no_law=np.zeros((0, 5)),
             unmoved=_tangents(n, len(interface), 0, 0),
         )
 
@@ -117,7 +117,7 @@ class Layout:
         heat, law = self.no_heat, self.no_law
         if terms.conversions:
             heat = np.array([x.heat for x in terms.conversions], dtype=float)
-            law = np.array([[x.kind, x.a, x.b, x.c] for x in terms.conversions], dtype=float)
+            law = np.array([[x.kind, x.a, x.b, x.c, x.own] for x in terms.conversions], dtype=float)
         return implicit_steps.Stack(
             dx=mesh.dx,
             k=k * terms.conductivity,
@@ -178,7 +178,7 @@ class Layout:
                 d.c[i, self.paper] = t.paper[1] / PAPER_WIDTH
             for j, conversion in enumerate(t.conversions):
                 d.heat[j, i] = conversion.heat
-                d.law[j, 1:, i] = conversion.a, conversion.b, conversion.c
+                d.law[j, 1:, i] = conversion.a, conversion.b, conversion.c, conversion.own
         return d
 
 
@@ -204,7 +204,7 @@ def _tangents(n: int, contacts: int, r: int, p: int, bends: int = 0, k: int = 0)
     z = np.zeros
     return implicit_steps.Tangents(
         z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((k, p, n)), z((contacts, 3, 3, p)), z(p), z(p),
-        z((2, p)), z((r, p, n)), z((r, 4, p)), z((2, p, bends)),
+        z((2, p)), z((r, p, n)), z((r, 5, p)), z((2, p, bends)),
     )  # fmt: skip
 
 

@@ -333,7 +333,8 @@ def _merged(parts: Iterable[Terms], *, imaginary: bool = False) -> Terms:
         **{name: take(getattr(terms, name)) for name in FACTORS + SUMMANDS},
         closed_contact={m: take(f) for m, f in terms.closed_contact.items()},
         conversions=tuple(
-            Conversion(take(c.heat), c.kind, take(c.a), take(c.b), take(c.c)) for c in terms.conversions
+            Conversion(take(c.heat), c.kind, take(c.a), take(c.b), take(c.c), take(c.own))
+            for c in terms.conversions
         ),
         sources=tuple(Source(take(s.heat), take(s.course)) for s in terms.sources),
         paper=None if terms.paper is None else (take(terms.paper[0]), take(terms.paper[1])),

@@ -95,8 +95,8 @@ class Stack(NamedTuple):
     heat: Array
     """Heat released by each conversion when complete (r, n); negative takes heat. [J/m³]"""
     law: Array
-    """Rate of each conversion (r, 4): kind, a, b, c. Kind 0: a exp(-b/R (1/T - 1/c)), kind 1: softened
-    ramp a (T - b)+ with width c. [1/s, J/mol, K | 1/sK, °C, K]"""
+    """Rate of each conversion (r, 5): kind, a, b, c, u. Kind 0: a exp(-b/R (1/T - 1/c)), kind 1: softened
+    ramp a (T - b)+ with width c; u: `effects.effect.Conversion.own`. [1/s, J/mol, K | 1/sK, °C, K]"""
     bends: Array
     """Logarithms of factors by temperature at `BENDS_C` (2, 61): on the conductivity where `wet` is set, on the
     closed contacts of these cells by the temperature of the outermost one; (2, 0) without."""
@@ -123,7 +123,7 @@ class Tangents(NamedTuple):
     heat: Array
     """(r, P, n)"""
     law: Array
-    """(r, 4, P)"""
+    """(r, 5, P)"""
     bends: Array
     """(2, P, 61) or (2, P, 0)"""
 
@@ -585,11 +585,12 @@ def active_stretches(heat, d_heat, ends):
 
 @compiled(inner=True)
 def conversion(dx, reaction, h, r, co):
-    """Add the heat of conversion r, dZ/dt = (1 - Z) rate(T), taken as the mean of a step of length h.
+    """Add the heat of conversion r, dZ/dt = (1 - Z) (1 - u + u Z) rate(T), as the mean of a step of length h.
 
-    With the rate frozen over the step its mean is (1 - Z) (1 - exp(-h rate)) / h, linear in T about `star`;
-    a source that grows with temperature is taken at `star` alone. `co.rate` and `co.drate` come as zeros, or from
-    the step before. Of one without heat only the tangents of its heat are filled: no other acts on anything.
+    With the rate frozen over the step and E = exp(-h rate) its mean is (1 - Z) (1 - u + u Z) (1 - E) / h over
+    1 - u + u Z + u E (1 - Z), linear in T about `star`; a source that grows with temperature, and one that speeds
+    up as it goes (u > 0), is taken at `star` alone. `co.rate` and `co.drate` come as zeros, or from the step
+    before. Of one without heat only the tangents of its heat are filled: no other acts on anything.
     """
     w, dw, rate, drate = co.w, co.dw, co.rate[r], co.drate[r]
     heat, law, d_heat, d_law, done, d_done = reaction
@@ -599,8 +600,9 @@ def conversion(dx, reaction, h, r, co):
     count = active_stretches(heat, d_heat, ends)
     part = np.zeros((4, n))
     # value and slope are linear in the tangents of: the fraction left, the rate (through left * kept),
-    # and the rate's slope; both of the last are linear in those of T, a, b, c
-    by_law = np.zeros((6, n))
+    # and the rate's slope; both of the last are linear in those of T, a, b, c; the value in that of u, too
+    by_law = np.zeros((7, n))
+    own = law[4]
     for k in range(count):
         for i in range(ends[k, 0], ends[k, 1]):
             value[i] = 0.0
@@ -610,19 +612,23 @@ def conversion(dx, reaction, h, r, co):
             if first[0] == 0.0:
                 continue
             gone = -np.expm1(-h * first[0])
-            stiff = 0.0 if heat[i] > 0.0 else 1.0
-            left, kept, share = 1.0 - done[i], 1.0 - gone, gone / h
-            slope[i] = stiff * left * kept * first[1]
-            value[i] = left * share - slope[i] * t
+            stiff = 0.0 if heat[i] > 0.0 or own > 0.0 else 1.0
+            left, kept = 1.0 - done[i], 1.0 - gone
+            pace = 1.0 - own * left
+            over = 1.0 / (pace + own * kept * left)
+            by_rate = left * pace * kept * over * over
+            slope[i] = stiff * by_rate * first[1]
+            value[i] = left * pace * gone * over / h - slope[i] * t
             w[SRC, i] += heat[i] * dx[i] * value[i]
             w[SLOPE, i] -= heat[i] * dx[i] * slope[i]
             part[0, i] = -stiff * kept * first[1]
-            part[1, i] = stiff * left * kept * (second[0] - h * first[1] * first[1])
-            part[2, i] = -share
-            part[3, i] = left * kept * first[1] - slope[i]
+            part[1, i] = stiff * by_rate * (second[0] - h * first[1] * first[1])
+            part[2, i] = (kept * over * over - 1.0) / h
+            part[3, i] = by_rate * first[1] - slope[i]
             for a in range(3):
-                by_law[a, i] = left * kept * first[2 + a]
-                by_law[3 + a, i] = stiff * left * kept * (second[1 + a] - h * first[1] * first[2 + a])
+                by_law[a, i] = by_rate * first[2 + a]
+                by_law[3 + a, i] = stiff * by_rate * (second[1 + a] - h * first[1] * first[2 + a])
+            by_law[6, i] = -left * left * kept * gone * over * over / h
     if not any_of(heat):
         for q in range(p):
             dh, dsrc, dk = d_heat[q], dw[DSRC, q], dw[DSLOPE, q]
@@ -635,13 +641,13 @@ def conversion(dx, reaction, h, r, co):
     for q in range(p):
         st, dz, dh = dw[DSTAR, q], d_done[q], d_heat[q]
         dvalue, dslope, dsrc, dk = drate[RATE, q], drate[RSLOPE, q], dw[DSRC, q], dw[DSLOPE, q]
-        da, db, dc = d_law[1, q], d_law[2, q], d_law[3, q]
+        da, db, dc, du = d_law[1, q], d_law[2, q], d_law[3, q], d_law[4, q]
         for k in range(count):
             for i in range(ends[k, 0], ends[k, 1]):
                 ds = by_done[i] * dz[i] + by_star[i] * st[i]
                 dv = of_done[i] * dz[i] + of_star[i] * st[i]
                 ds += by_law[3, i] * da + by_law[4, i] * db + by_law[5, i] * dc
-                dv += by_law[0, i] * da + by_law[1, i] * db + by_law[2, i] * dc - ds * star[i]
+                dv += by_law[0, i] * da + by_law[1, i] * db + by_law[2, i] * dc + by_law[6, i] * du - ds * star[i]
                 dslope[i] = ds
                 dvalue[i] = dv
                 dsrc[i] += dx[i] * (dh[i] * value[i] + heat[i] * dv)

@@ -118,7 +118,7 @@ class FilterPlan:
         start = self.start
         low, high = start - FARTHEST, start + FARTHEST
         for i, p in enumerate(self.priors):
-            if _sized(p.name):
+            if _of_effect(p.name):
                 own = _parameter(p.name)
                 inner = 0.02 * (own.upper - own.lower)
                 low[i] = max(low[i], p.deviation(own.lower))
@@ -317,7 +317,10 @@ def panel_plan(
 @cache
 def is_straight(name: str) -> bool:
     """Return whether readings follow an effect's parameter, or the skin, in a straight line (`Live.straight`)."""
-    return name == SKIN or find_effect(name.partition(".")[0]).live.straight
+    if name == SKIN:
+        return True
+    effect = find_effect(name.partition(".")[0])
+    return effect.live.straight and name == effect.key(effect.parameters[0].name)
 
 
 @cache
@@ -326,9 +329,14 @@ def _parameter(name: str) -> Parameter:
     return next(p for p in effect.parameters if effect.key(p.name) == name)
 
 
+def _of_effect(name: str) -> bool:
+    """Return whether a parameter is an effect's."""
+    return "." in name and name != SKIN
+
+
 def _sized(name: str) -> bool:
     """Return whether a parameter is the size of a cause, absent at a neutral value."""
-    if "." not in name or name == SKIN:
+    if not _of_effect(name):
         return False
     own = _parameter(name)
     return own.typical != own.neutral

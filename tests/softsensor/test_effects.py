@@ -15,6 +15,7 @@ from scipy.stats import lognorm, norm
 from daq.records import InputError, Moments
 from daq.simulated.effects import SIZES
 from daq.words import message as words
+from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect, learn_words
 from softsensor.effects.vocabulary import coefficient_words
 from softsensor.heat.model import ThermalModel
@@ -47,8 +48,16 @@ CONTRACT = {
 by_name = pytest.mark.parametrize("effect", BUILT_IN, ids=lambda e: e.name)
 
 
+OF_ITS_LAW = {"resin_cure": {"temperature_C", "autocatalysis"}}
+"""Parameters beyond the contract's, which say how an effect goes."""
+
+
 def test_the_catalogue_holds_the_contract_names_and_parameters():
-    assert {e.name: {p.name for p in e.parameters} for e in BUILT_IN} == CONTRACT
+    assert [e.name for e in BUILT_IN] == list(CONTRACT)
+    for effect in BUILT_IN:
+        own = OF_ITS_LAW.get(effect.name, set())
+        assert {p.name for p in effect.parameters} == CONTRACT[effect.name] | own
+        assert all(is_shape(p) for p in effect.parameters if p.name in own)
 
 
 @pytest.mark.parametrize("language", words.languages())

@@ -357,6 +357,14 @@ def test_filters_are_linearised_only_where_effects_are_physical():
                 assert plan.start[i] - low[i] == pytest.approx(high[i] - plan.start[i])
 
 
+def test_the_law_of_an_effect_in_the_model_stays_within_its_limits():
+    cures = {"heat_kJ_m2": (15.0, 3.0), "temperature_C": (115.0, 5.0), "autocatalysis": (0.98, 0.05)}
+    table = {name: FittedValue(*value) for name, value in cures.items()}
+    plan = plans_for(PRESS, replace(MODEL, effects=(("resin_cure", table),)), (0.0, 0.15, 0.15))[0]
+    (_, high), at = plan.reach, [p.name for p in plan.priors].index("resin_cure.autocatalysis")
+    assert plan.priors[at].value(plan.priors[at].centre + high[at] * plan.priors[at].sd) < 0.99
+
+
 def test_a_rig_without_states_is_followed():
     press = parse_press(
         """

@@ -8,6 +8,7 @@ from daq.records import InputError, Moments
 from softsensor.effects import BUILT_IN
 from softsensor.heat.model import NUISANCES, PANEL_SHARES, ThermalModel, states
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
+from softsensor.signals.instrument import MEAN_SLOW_K, MEAN_WHITE_K
 
 SIGMA = 5.670374419e-8
 SHORT = Moments(inserted_s=2.0, closed_s=8.2, opened_s=30.4, removed_s=45.0, ramp_s=0.5)
@@ -326,9 +327,10 @@ def test_steps_of_half_a_second_are_enough_for_nonlinear_effects(lab_press, make
     settled = np.ones(len(t), dtype=bool)
     for moment in (SHORT.inserted_s, SHORT.closed_s, SHORT.opened_s, SHORT.removed_s):
         settled &= (t < moment - 0.3) | (t > moment + 0.7)
-    # the steps' error alone: both solve the same cells; `fineness` 0.5 doubles the fine steps
-    assert error[settled].max() < 0.06, (error[settled].max(), t[settled][error[settled].max(axis=1).argmax()])
-    assert np.sqrt(np.mean(error[settled] ** 2)) < 0.01
+    # the steps' error alone: both solve the same cells; `fineness` 0.5 doubles the fine steps. Enough is less than
+    # what a face's mean slowly and quickly wanders by
+    assert error[settled].max() < MEAN_SLOW_K, t[settled][error[settled].max(axis=1).argmax()]
+    assert np.sqrt(np.mean(error[settled] ** 2)) < MEAN_WHITE_K
 
 
 def test_heat_taken_by_evaporation_is_latent_heat_times_water(make_rig):
@@ -365,6 +367,20 @@ def test_cured_resin_gave_off_all_its_heat(make_rig):
     fields = hot.solve(case, {"resin_cure.heat_kJ_m2": 15.0}, fields=True).fields
     gained = (fields[-1] - fields[0]) @ case.mesh.dx * 740.0 * 1550.0
     assert gained == pytest.approx(2 * 15.0e3, rel=1e-4)
+
+
+@pytest.mark.parametrize("own", [0.0, 0.5, 0.95])
+def test_cure_at_one_temperature_is_its_closed_form_however_long_the_steps(make_rig, own):
+    toml = '[[layer]]\nname = "panel"\nfrom_run = true\n[initial]\nkind = "uniform"\ntemperature_C = 130.0\n'
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "panel.initial_temperature_C": 20.0}
+    model, run = make_rig(toml, np.arange(0.0, 60.5, 1.0), {}, {"a": '"panel.bottom"'}, **header)
+    hot = ThermalModel.of(model.press, ["resin_cure"])
+    # so little heat that the panel stays as warm as it is; half cured, it cures by 3 % a second
+    given = {"resin_cure.heat_kJ_m2": 1e-9, "resin_cure.temperature_C": 130.0, "resin_cure.autocatalysis": own}
+    for step_s in (0.5, 20.0):
+        done = hot.solve(hot.prepare(run, Moments(), max_step_s=step_s), given).final.done[0]
+        left = np.exp(-2.0 * 0.03 / (1.0 - 0.5 * own) * 60.0)
+        assert done[[0, -1]] == pytest.approx((1.0 - own) * (1.0 - left) / (1.0 - own + own * left), rel=1e-9)
 
 
 def test_neutral_effects_change_nothing(lab_press, make_run, coefficients, moments):

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, LimitsTable, OrderLaw, parse_resin, read_resin
 from daq.records import InputError
-from softsensor.effects.resin_cure import ACTIVATION, RATE_140
+from softsensor.effects.resin_cure import ACTIVATION, RATE
 from softsensor.opening.kinetics import Course, CureProgress, advance, equivalent_course, kinetics_of
 from softsensor.opening.limits import Broken, Normal, PanelState, broken, either_below, opening
 from softsensor.opening.steam import equilibrium_moisture, saturation_kPa, steam_pressure, steam_with_slopes
@@ -257,7 +257,7 @@ def test_limits_broken_for_certain_are_told_apart_by_how_far(order):
 
 def test_the_example_cures_as_the_paper_whose_heat_a_diagnosis_looks_for():
     order = read_resin(RESINS / "melamine_formaldehyde.toml").order
-    assert (order.rate_per_s, 1e3 * order.activation_energy_kJ_mol) == (RATE_140, ACTIVATION)
+    assert (order.rate_per_s, 1e3 * order.activation_energy_kJ_mol) == (RATE, ACTIVATION)
 
 
 @pytest.mark.parametrize("file", sorted(RESINS.glob("*.toml")), ids=lambda f: f.stem)
