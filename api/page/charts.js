@@ -77,8 +77,14 @@ export class TimeChart {
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
       bands,
-      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.name(plot), (plot) => this.mark(plot)], setSelect: [(plot) => { if (plot.select.width > 0) this.hold(true); }], setCursor: [(plot) => this.point(plot)], setScale: [(plot, axis) => { if (axis === "x") this.onRange?.(plot.scales.x.min, plot.scales.x.max); }] },
+      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.edges(plot), (plot) => this.name(plot), (plot) => this.mark(plot)], setSelect: [(plot) => { if (plot.select.width > 0) this.hold(true); }], setCursor: [(plot) => this.point(plot)], setScale: [(plot, axis) => { if (axis === "x") this.onRange?.(plot.scales.x.min, plot.scales.x.max); }] },
     };
+  }
+
+  // What the axis of time is called may change while a run goes on.
+  callX(label) {
+    this.xLabel = label;
+    if (this.plot) this.plot.axes[0].label = label;
   }
 
   line(s) {
@@ -128,6 +134,25 @@ export class TimeChart {
     });
     ctx.stroke();
     ctx.restore();
+  }
+
+  // A dot above or below the picture: a triangle at its edge points to where it is.
+  edges(plot) {
+    const { ctx, bbox } = plot;
+    const size = 5 * devicePixelRatio;
+    this.series.forEach((s, i) => {
+      if (!s.edge) return;
+      ctx.fillStyle = style(s.colour);
+      this.data[i + 1].forEach((value, k) => {
+        const x = plot.valToPos(this.data[0][k], "x", true);
+        const side = value === null ? 0 : value > plot.scales.y.max ? 1 : value < plot.scales.y.min ? -1 : 0;
+        if (!side || x < bbox.left || x > bbox.left + bbox.width) return;
+        const tip = side > 0 ? bbox.top : bbox.top + bbox.height;
+        ctx.beginPath();
+        [[0, 0], [-size, 2 * size], [size, 2 * size]].forEach(([right, inwards]) => ctx.lineTo(x + right, tip + side * inwards));
+        ctx.fill();
+      });
+    });
   }
 
   // Above grid and curves, on a patch of the card's colour.

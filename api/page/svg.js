@@ -12,7 +12,7 @@ export function svgOf(chart, gap) {
   const [width, height] = [plot.over.clientWidth, plot.over.clientHeight];
   const x = (value) => round(left + plot.valToPos(value, "x"));
   const y = (value) => round(top + plot.valToPos(value, "y"));
-  const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap })),
+  const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap, top, height })),
     ...chart.marks.map((one) => mark(one, x, y, { left, top, width, height }))].join("");
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${plot.height}" viewBox="0 0 ${plot.width} ${plot.height}" font-family="system-ui, sans-serif" font-size="12">`
     + `<title>${safe(chart.label)}</title><rect width="100%" height="100%" fill="${style("--card")}"/>`
@@ -39,13 +39,15 @@ function shade(phase, x, { left, top, width, height }) {
   return `<rect x="${from}" y="${top}" width="${Math.max(to - from, 0)}" height="${height}" fill="${style(phase.state === "closed" ? "--phase-closed" : "--phase-open")}"/>`;
 }
 
-function curve(chart, s, i, { x, y, gap }) {
+function curve(chart, s, i, { x, y, gap, top, height }) {
   const [times, values] = [chart.data[0], chart.data[i + 1]];
   const there = times.map((_, k) => k).filter((k) => (values[k] ?? null) !== null);
   if (s.kind === "band-high" || !there.length) return "";
   if (s.kind === "band-low") return band(chart, s, i, there, { x, y });
   const colour = style(s.colour);
-  if (s.kind === "dots") return there.map((k) => `<circle cx="${x(times[k])}" cy="${y(values[k])}" r="1.8" fill="${colour}"/>`).join("");
+  const out = (k) => (y(values[k]) < top ? 1 : y(values[k]) > top + height ? -1 : 0);
+  const triangle = (k) => `<path d="M${x(times[k])} ${out(k) > 0 ? top : top + height}l-5 ${10 * out(k)}h10z" fill="${colour}"/>`;
+  if (s.kind === "dots") return there.map((k) => (s.edge && out(k) ? triangle(k) : `<circle cx="${x(times[k])}" cy="${y(values[k])}" r="1.8" fill="${colour}"/>`)).join("");
   const pen = there.map((k, n) => `${n && (s.spanGaps || times[k] - times[there[n - 1]] <= gap) ? "L" : "M"}${x(times[k])} ${y(values[k])}`).join("");
   return `<path d="${pen}" stroke="${colour}" stroke-width="${WIDTHS[s.kind] ?? 1.5}"${s.dash ? ` stroke-dasharray="${s.dash.join(" ")}"` : ""}/>`;
 }

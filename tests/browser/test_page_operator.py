@@ -196,6 +196,19 @@ def test_before_the_first_estimate_no_empty_axes_stand_on_the_wall_and_no_pressi
     writer.join(240)
 
 
+@pytest.mark.parametrize(("closes", "counted"), [(9.0, "Time [s]"), (1 / 3, "Time from closing [s]")])
+def test_the_time_axis_counts_from_closing_once_the_press_has_closed(served, closes, counted):
+    server, feed, page = served
+    feed.pause_s, feed.shares = 0.0, (0.0, closes, 9.0)
+    feed.pressing(scans=60, batch=10)
+    page.goto(f"{server.url}#/now")
+    drawers = page.get_by_text("Numbers and downloads")
+    expect(drawers).to_have_count(2)
+    for i in range(2):
+        drawers.nth(i).click()
+    expect(page.get_by_role("columnheader", name=counted, exact=True)).to_have_count(2)
+
+
 def test_a_bound_may_be_written_with_spaces_around_its_sign(served):
     server, feed, page = served
     feed.pause_s = 0.0

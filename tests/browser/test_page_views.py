@@ -1089,6 +1089,8 @@ def test_a_coefficient_that_the_newest_fit_does_not_know_says_whose_value_stands
     card = page.locator("section", has=page.get_by_role("heading", name="h_pp_c"))
     expect(card).to_contain_text("600 W/m²K · last identifiable, campaign-1")
     expect(page.get_by_role("row", name="h_pp_c")).to_contain_text("50.8")
+    card.get_by_text("Numbers and downloads").click()
+    expect(card.get_by_role("cell", name="51", exact=True)).to_be_visible()  # though drawn at the picture's edge
 
 
 def test_a_number_below_zero_has_a_minus_wherever_the_page_writes_it(plant):

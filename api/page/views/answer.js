@@ -85,6 +85,9 @@ export function take(now, data) {
 
 export const closingOf = (phases) => phases?.findLast((phase) => phase.state === "closed")?.from_s ?? 0;
 
+// What the time axis counts from: before closing, from the run's first row.
+export const countedFrom = (phases) => text(phases?.some((phase) => phase.state === "closed") ? "page-time-from-closing" : "page-time-axis");
+
 export const shifted = (phases, zero) => (phases ?? []).map((phase) => ({ ...phase, from_s: phase.from_s - zero, to_s: phase.to_s === null ? null : phase.to_s - zero }));
 
 // The look ahead of an estimate on the run's clock: [[time, core, low, high], ...]; null where it brings none.
@@ -115,6 +118,7 @@ export class CoreChart {
   // What rests on old readings foresees nothing, and is not green.
   show({ times, low, high, core, measured = [], phases, target, course, advice, notes = [], stale = false }) {
     const zero = closingOf(phases);
+    this.chart.callX(countedFrom(phases));
     const now = times.at(-1) ?? 0;
     const to = stale ? [] : (course ?? []).filter(([time]) => time > now);
     const before = (values) => [...values, ...to.map(() => null)];

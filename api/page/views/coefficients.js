@@ -44,21 +44,19 @@ function card(name, history, axis, used, drift) {
   // The newest fit, in the table below, may not know it: then this says whose value it is.
   const beside = [last && last !== history.at(-1) && text("page-last-identifiable", { run: last.run }), used && `${text("page-in-use")} ${figure(used)} W/m²K`].filter(Boolean);
   const [low, high] = span(determined.length ? determined : points);
-  // What a run could not show stays inside the picture, at its edge.
-  const inside = (value) => Math.min(Math.max(value, low), high);
   requestAnimationFrame(() => {
     if (!holder.isConnected) return;
     const chart = new TimeChart(holder, {
       series: [{ name: text("page-ci-low"), kind: "band-low" }, { name: text("page-ci-high"), kind: "band-high" },
         { name, colour: "--accent", kind: axis === "time" ? "line" : "dots", points: true, size: 7, unit: "W/m²K", digits: 0 },
-        { name: text("page-not-identifiable"), colour: "--faint", kind: "dots", size: 8, unit: "W/m²K", digits: 0 }],
+        { name: text("page-not-identifiable"), colour: "--faint", kind: "dots", edge: true, size: 8, unit: "W/m²K", digits: 0 }],
       height: 200, label: `${name} ${text("page-history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("page-order-of-runs") : numberName(axis),
       whiskers: "--accent", xSteps: axis === "time" ? [1, 2, 5, 10, 20, 50, 100, 200] : null,
       yRange: [low, high], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
     });
     chart.tipHead = (x) => (axis === "time" ? points.find((p) => p.x === x)?.item.run ?? "" : `${numberName(axis)} ${number(x, 0)}`);
     chart.set([points.map((p) => p.x), points.map((p) => (known(p) ? p.c.ci95?.[0] ?? null : null)), points.map((p) => (known(p) ? p.c.ci95?.[1] ?? null : null)),
-      points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : inside(p.c.value)))]);
+      points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : p.c.value))]);
   });
   const described = bodies(name);
   return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, described)),

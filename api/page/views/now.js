@@ -6,7 +6,7 @@ import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, inWords, text } from "../words.js";
-import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
+import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, countedFrom, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -255,6 +255,7 @@ class LivePress {
       times: this.rows[0], low: this.rows[first], high: this.rows[first + 1], core: this.rows[first + 2], measured: this.inner.map(column),
       phases: this.phases, target: targetOf(this.now), course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes, stale: this.stale,
     });
+    this.faceChart.callX(countedFrom(this.phases));
     this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
     this.showBehind();
   }
