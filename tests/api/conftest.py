@@ -138,7 +138,8 @@ def store(tmp_path_factory: pytest.TempPathFactory, campaign: list[tuple[Run, Tr
         opened.put_model("lab", "1", model, status="promoted", reason="first")
         opened.put_model("lab", "2", {**model, "version": "2"}, status="candidate", reason="extended")
         opened.put_diagnosis("lab", {"verdict": "no_effect", "effects": [], "candidates": [], "curves": CURVES})
-        opened.put_night(StoredNight("lab", STARTED, STARTED + timedelta(seconds=52), NIGHT, {}))
+        ended = datetime.now(UTC)
+        opened.put_night(StoredNight("lab", ended - timedelta(seconds=52), ended, NIGHT, {}))
         opened.log("alarm", "record", "logger platens: no reply in 2 s", "lab")
         opened.beat("record", {"state": "running"})
         yield opened
