@@ -19,7 +19,7 @@ from daq.store.archive_file import StoredScans
 from daq.store.archived import archived_layouts, archived_scans
 from daq.store.reading import first_layout, layout_channels, run_row
 from daq.store.schema import SCAN, SCAN_REMARK
-from daq.store.sound_rows import of_run, readings_of, sound, sound_texts, stored_header
+from daq.store.sound_rows import of_run, readings_of, sound, sound_ends, sound_texts, stored_header
 from daq.words import say
 
 _USABLE = {q.value for q in Quality if q.usable}
@@ -98,6 +98,8 @@ def _scans_in_table(
             for column, cells in zip(found, zip(*rows, strict=True), strict=True):
                 column.extend(cells)
         number, unix_s, at, layout_of, texts, faults, remarks = found
+        if from_s is None and to_s is None:
+            sound_ends(connection, row, number)
         sound_texts(connection, whose, number, faults)
         sound_texts(connection, whose, number, remarks)
         layout = np.array(layout_of, dtype=np.int64)

@@ -20,7 +20,7 @@ from sqlalchemy.exc import DBAPIError
 
 from daq.records import Array, InputError
 from daq.store.convert import header_of, readings_table
-from daq.store.records import ScansUnreadable
+from daq.store.records import RunStatus, ScansUnreadable
 from daq.words import Message, say
 
 Whose = Callable[..., Message]
@@ -74,6 +74,20 @@ def sound_texts(connection: Connection, whose: Whose, numbers: Sequence[int], te
     unsound = {text for text in set(texts) if text is not None and not is_object(text)}
     if unsound:
         raise _damaged(connection, whose, next(n for n, t in zip(numbers, texts, strict=True) if t in unsound))
+
+
+def sound_ends(connection: Connection, row: Row[Any], numbers: Sequence[int]) -> None:
+    """See that the first and last scan of an ended run are there; raises `ScansUnreadable` where one is not.
+
+    Between them a scan may lack that the store would not take, of which an alarm was given. Of an interrupted run
+    nobody knows the last one.
+    """
+    if row.status != RunStatus.CLOSED.value or row.last_scan < row.first_scan:
+        return
+    if not numbers or (numbers[0], numbers[-1]) != (row.first_scan, row.last_scan):
+        raise ScansUnreadable(
+            of_run(printable(row.run))(what=say("store-scans-missing", store=store_label(connection.engine.url)))
+        )
 
 
 def is_object(text: str) -> bool:

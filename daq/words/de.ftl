@@ -555,6 +555,7 @@ store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nic
 store-scan-damaged = Messzeile { NUMBER($scan, useGrouping: 0) } ist im Datenspeicher { $store } beschädigt und nicht lesbar; die anderen Pressungen sind es; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
 store-scan-taken = Presse { $press }: Messzeile { $scan } ist schon mit anderen Werten da; ein anderer Rekorder schreibt für diese Presse: einen der beiden beenden
 store-scans-damaged = ihre Messzeilen sind im Datenspeicher { $store } beschädigt und nicht lesbar; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
+store-scans-missing = Messzeilen von ihr fehlen im Datenspeicher { $store }; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
 store-trying-again = { $why }; neue Versuche folgen
 store-url-at = Das Passwort in der URL des Datenspeichers enthält ein @: als %40 schreiben
 store-url-mistyped = Die URL des Datenspeichers ist weder ein Dateipfad noch eine ganze URL (nicht gezeigt, sie kann ein Passwort enthalten); einen Dateipfad oder postgresql://benutzer:passwort@rechner/name angeben

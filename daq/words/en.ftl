@@ -555,6 +555,7 @@ store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was
 store-scan-damaged = scan { NUMBER($scan, useGrouping: 0) } is damaged in store { $store } and cannot be read; the other runs can; restore a backup beside the store with kerntemp backup --restore and take the run from there
 store-scan-taken = press { $press }: scan { $scan } is there already with other values; another recorder writes to this press: stop one of them
 store-scans-damaged = its scans are damaged in store { $store } and cannot be read; restore a backup beside the store with kerntemp backup --restore and take the run from there
+store-scans-missing = scans of it are missing in store { $store }; restore a backup beside the store with kerntemp backup --restore and take the run from there
 store-trying-again = { $why }; trying again
 store-url-at = the password in the store's url holds an @: write it as %40
 store-url-mistyped = the store's url is neither a file path nor a whole URL (not shown: it may hold a password); give a file path or postgresql://user:password@host/name

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from sqlalchemy import NullPool, create_engine, text, update
+from sqlalchemy import NullPool, create_engine, delete, text, update
 
 from api.cli import main
 from daq.records import Channel, InputError, Quality, Scan
@@ -80,6 +80,17 @@ def test_a_damaged_row_is_an_error_with_run_scan_and_remedy_and_the_other_runs_a
         assert poor == {17, 290}
         day = store.envelope("lab", BEGAN, datetime.fromtimestamp(BEGAN.timestamp() + 340, UTC), 34)
         assert day.high["top_1"][-1] == 20.0 + 339
+
+
+@pytest.mark.parametrize("gone", [[40], [339], range(40, 340)], ids=["first", "last", "all"])
+def test_a_run_whose_first_or_last_scan_is_gone_is_no_shorter_run(store_url, gone):
+    with filled(store_url, COUNT) as store:
+        with store.database.writing() as connection:
+            connection.execute(delete(SCAN).where(SCAN.c.number.in_(list(gone))))
+        for read in (store.load_run, store.run_for_file):
+            with pytest.raises(ScansUnreadable, match=r"many.*scans of it are missing.*kerntemp backup --restore"):
+                read("many")
+        assert len(store.load_run("a-few").time_s) == 40
 
 
 def test_a_torn_page_costs_the_runs_on_it_alone_and_the_terminal_names_run_and_remedy(tmp_path, capsys):
