@@ -1561,6 +1561,7 @@ report-per-10-seconds = je 10 s Presszeit
 report-percent = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } %
 report-place = Stelle
 report-plain-model = einfaches Modell
+report-plan = Was als Nächstes zu pressen ist
 report-predicted = vorhergesagt
 report-preferred = Gegenüber dieser Ursache ziehen die Pressungen sie um { NUMBER($t, maximumFractionDigits: 1) } Standardfehler vor: { $cause }.
 report-prior = { $name }: { NUMBER($median, maximumSignificantDigits: 6) } W/m²K, mal oder durch { NUMBER($factor, maximumSignificantDigits: 6) }.

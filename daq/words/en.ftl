@@ -1551,6 +1551,7 @@ report-per-10-seconds = per 10 s press time
 report-percent = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } %
 report-place = place
 report-plain-model = plain model
+report-plan = What to press next
 report-predicted = predicted
 report-preferred = The runs prefer it to { $cause } by { NUMBER($t, maximumFractionDigits: 1) } standard errors.
 report-prior = { $name }: { NUMBER($median, maximumSignificantDigits: 6) } W/m²K, times or over { NUMBER($factor, maximumSignificantDigits: 6) }.

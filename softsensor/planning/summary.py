@@ -20,13 +20,18 @@ SAVINGS = 3
 
 def plan_messages(found: PressingPlan) -> Iterator[Message]:
     """Say each open point with its pressings, one line each."""
+    yield from standing_messages(found)
+    for advice in found.points:
+        yield point_message(advice.point)
+        yield from pressing_messages(advice)
+
+
+def standing_messages(found: PressingPlan) -> Iterator[Message]:
+    """Say what keeps a plan from being one, or that it is not needed."""
     if found.verdict == Verdict.NOT_DESCRIBED:
         yield say("plan-not-described")
     elif not found.points:
         yield say("plan-nothing-open")
-    for advice in found.points:
-        yield point_message(advice.point)
-        yield from pressing_messages(advice)
 
 
 def point_message(point: OpenPoint) -> Message:
