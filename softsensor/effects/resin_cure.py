@@ -64,8 +64,8 @@ EFFECT = Effect(
         Parameter(
             name="autocatalysis",
             unit="-",
-            neutral=0.5,
-            typical=0.5,
+            neutral=0.0,
+            typical=0.0,
             lower=0.0,
             upper=0.99,
             source="first order at 0; near 1 the cure begins by itself hardly at all",

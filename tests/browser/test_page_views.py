@@ -107,11 +107,12 @@ def plant(served) -> tuple[str, Page, str]:
     fit = {"run": "campaign-1", "converged": True, "coefficients": {"h_pp_c": coefficient}, "warnings": []}
     store.put_fit("campaign-1", fit | {"rmse_K": 0.3, "initial_rmse_K": 2.0}, "")
     why = say("model-from-sisters", count=2, sisters=("left", "right")).to_json()
-    for version, status in (("1", "retired"), ("2", "promoted")):
+    for version, status in (("1", "retired"), ("2", "promoted"), (NIGHT["version"], "candidate")):
         model = {"version": version, "effects": [], "basis": {"reason": why}}
         store.put_model("lab", version, model, status=status)
     store.put_diagnosis("lab", DIAGNOSIS)
-    store.put_night(StoredNight("lab", NIGHT_BEGAN, NIGHT_BEGAN + timedelta(seconds=47), NIGHT, {}))
+    ended = datetime.now(UTC)
+    store.put_night(StoredNight("lab", ended - timedelta(seconds=47), ended, NIGHT, {}))
     feed.pause_s = 0.0
     feed.pressing(scans=60, batch=10)
     token = TokenFile(server.config.parent / "kerntemp-tokens.json").create("foreman", "write")

@@ -132,13 +132,17 @@ def test_panels_that_scatter_by_five_percent_are_held(seed):
 
 @pytest.mark.parametrize("key", ["panel.conductivity_W_mK", "panel.heat_capacity_J_kgK"])
 def test_what_a_wrong_constant_does_to_the_core_is_what_the_filter_with_another_one_says(pressing, key):
-    """The core of the same readings replayed under a constant 1 % off moves by what the filter says beforehand."""
+    """The core of the same readings replayed under a constant slightly off moves by what the filter says.
+
+    So little that both are linearised at nearly the same place.
+    """
     run, truth = pressing
     ends = int(np.searchsorted(run.time_s, truth.moments.closed_s + 45.0))
     run = run.at_rows(slice(ends))
     given = {"panel.conductivity_W_mK": 0.12, "panel.heat_capacity_J_kgK": 1550.0}
     filters = []
-    for factor in (1.0, 1.01):
+    off = 0.002
+    for factor in (1.0, 1.0 + off):
         sensor, _ = followed(replace(run, header=run.header | given | {key: factor * given[key]}), KNOWING)
         filters.append(sensor._run.passes.current.filters[0])
     names = [p.name for p in filters[0].linearised.priors if p.considered]
@@ -152,8 +156,8 @@ def test_what_a_wrong_constant_does_to_the_core_is_what_the_filter_with_another_
         return level + one.linearised.model.chain.d_level @ (state - one.linearised.at)
 
     moved = core(filters[1]) - core(filters[0])
-    assert abs(moved) > 0.03
-    assert moved == pytest.approx(filters[0].held_K[at] * 0.01 / sd, rel=0.15)
+    assert abs(moved) > 3.0 * off
+    assert moved == pytest.approx(filters[0].held_K[at] * off / sd, rel=0.15)
 
 
 def test_a_considered_constant_is_never_moved_by_readings(pressing):
