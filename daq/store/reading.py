@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -78,20 +78,29 @@ def of_press_by_number(
 ) -> list[Row[Any]]:
     """Return the rows of a query for runs that are a press's, by number, as the index goes."""
     number = RUN.c.run_number.desc() if newest_first else RUN.c.run_number.asc()
-    rows = of_press(connection, query.order_by(number), RUN.c.press_id, press)
-    return sorted(rows, key=lambda row: row.run_number, reverse=newest_first)
+    query = query.order_by(number)
+    return of_press(
+        connection, query, RUN.c.press_id, press, lambda row: row.run_number, newest_first=newest_first
+    )
 
 
 def of_press(
-    connection: Connection, query: Select[Any], press_id: ColumnElement[int], press: str
+    connection: Connection,
+    query: Select[Any],
+    press_id: ColumnElement[int],
+    press: str,
+    by: Callable[[Row[Any]], Any],
+    *,
+    newest_first: bool = True,
 ) -> list[Row[Any]]:
-    """Return the rows of a query that are a press's, in the query's order where they are of one kind.
+    """Return the rows of a query that are a press's, in its order, which `by` gives for rows.
 
     What is recorded and what was imported under one name are two presses to the store: each is asked by itself,
     as indexes go, so that a limit of the query holds for each.
     """
     ids = connection.execute(select(PRESS.c.press_id).where(PRESS.c.name == press)).scalars().all()
-    return [row for one in ids for row in rows_with_damage(connection, query.where(press_id == one))]
+    rows = [row for one in ids for row in rows_with_damage(connection, query.where(press_id == one))]
+    return sorted(rows, key=by, reverse=newest_first)
 
 
 def cursor_number(cursor: str) -> int:
@@ -340,8 +349,8 @@ def press_journal(
     if press is None:
         rows = list(connection.execute(query).all())
     else:
-        rows = of_press(connection, query, PRESS_EVENT.c.press_id, press)
-        rows = sorted(rows, key=lambda row: row.press_event_id, reverse=True)[: limit + 1]
+        rows = of_press(connection, query, PRESS_EVENT.c.press_id, press, lambda row: row.press_event_id)
+        rows = rows[: limit + 1]
     following = str(rows[limit - 1].press_event_id) if len(rows) > limit else None
     return Page(tuple((_press_event(r), r.run) for r in rows[:limit]), following)
 

@@ -213,8 +213,8 @@ def coefficient_history(
     if press is None:
         found = list(connection.execute(query).all())
     else:
-        found = of_press(connection, query, RUN.c.press_id, press)
-        found = sorted(found, key=lambda row: (row.start, row.run_number), reverse=True)[: limit + 1]
+        found = of_press(connection, query, RUN.c.press_id, press, lambda row: (row.start, row.run_number))
+        found = found[: limit + 1]
     page = {run.fit_id: (run.run, utc_of(run.started_unix_s)) for run in found[:limit]}
     rows = connection.execute(
         select(COEFFICIENT, FIT.c.model_version)

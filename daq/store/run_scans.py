@@ -99,7 +99,7 @@ def _scans_in_table(
                 column.extend(cells)
         number, unix_s, at, layout_of, texts, faults, remarks = found
         if from_s is None and to_s is None:
-            sound_ends(connection, row, number)
+            sound_ends(connection, whose, row, number)
         sound_texts(connection, whose, number, faults)
         sound_texts(connection, whose, number, remarks)
         layout = np.array(layout_of, dtype=np.int64)

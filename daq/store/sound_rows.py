@@ -76,7 +76,7 @@ def sound_texts(connection: Connection, whose: Whose, numbers: Sequence[int], te
         raise _damaged(connection, whose, next(n for n, t in zip(numbers, texts, strict=True) if t in unsound))
 
 
-def sound_ends(connection: Connection, row: Row[Any], numbers: Sequence[int]) -> None:
+def sound_ends(connection: Connection, whose: Whose, row: Row[Any], numbers: Sequence[int]) -> None:
     """See that the first and last scan of an ended run are there; raises `ScansUnreadable` where one is not.
 
     Between them a scan may lack that the store would not take, of which an alarm was given. Of an interrupted run
@@ -85,9 +85,7 @@ def sound_ends(connection: Connection, row: Row[Any], numbers: Sequence[int]) ->
     if row.status != RunStatus.CLOSED.value or row.last_scan < row.first_scan:
         return
     if not numbers or (numbers[0], numbers[-1]) != (row.first_scan, row.last_scan):
-        raise ScansUnreadable(
-            of_run(printable(row.run))(what=say("store-scans-missing", store=store_label(connection.engine.url)))
-        )
+        raise ScansUnreadable(whose(what=say("store-scans-missing", store=store_label(connection.engine.url))))
 
 
 def is_object(text: str) -> bool:
