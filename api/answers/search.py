@@ -94,8 +94,8 @@ def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[l
     fits = store.fits(names) if any(name.startswith(COEFFICIENT) for name in wanted.numbers) else {}
     cores = _cores_of(store, records) if wanted.numbers.intersection(CORE) else {}
     found = [(r, numbers_of(r, cores.get(r.run), errors.get(r.run), fits.get(r.run))) for r in records]
-    fitted = (fit.get("coefficients", {}) for fit in fits.values())
-    check_bounds(wanted.bounds, set().union(*fitted, *(numbers for _, numbers in found)))
+    fitted = [fit.get("coefficients", {}) for fit in fits.values()]
+    check_bounds(wanted.bounds, [*(numbers for _, numbers in found), *fitted])
     found = [(r, numbers) for r, numbers in found if all(bound.holds(numbers) for bound in wanted.bounds)]
     if wanted.order:
         found = _ordered(found, wanted.order)
@@ -187,10 +187,13 @@ def _cores_of(store: Store, records: Sequence[RunRecord]) -> dict[str, RunCore]:
     return {run: core for (_, run), core in _CORES.get_all(done, look_up).items()}
 
 
-def check_bounds(bounds: Iterable[Bound], known: set[str]) -> None:
-    """Refuse a bound on what none of the runs has, whose names are `known`. Raises `InputError`."""
-    if lacking := [bound.name for bound in bounds if known and bound.name not in known]:
-        raise InputError(say("api-search-unknown", name=lacking[0], known=tuple(sorted(known))))
+def check_bounds(bounds: Iterable[Bound], numbers: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse a bound on what none of the runs has, whose `numbers` are given by name. Raises `InputError`."""
+    for bound in bounds if numbers else ():
+        if not any(bound.name in own for own in numbers):
+            raise InputError(
+                say("api-search-unknown", name=bound.name, known=tuple(sorted(set().union(*numbers))))
+            )
 
 
 def check_order(order: str) -> None:
