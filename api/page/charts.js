@@ -136,6 +136,11 @@ export class TimeChart {
     ctx.restore();
   }
 
+  // On which side of the picture a value lies: 1 above, -1 below, 0 within.
+  beyond({ scales: { y } }, value) {
+    return value > y.max ? 1 : value < y.min ? -1 : 0;
+  }
+
   // A dot above or below the picture: a triangle at its edge points to where it is.
   edges(plot) {
     const { ctx, bbox } = plot;
@@ -145,7 +150,7 @@ export class TimeChart {
       ctx.fillStyle = style(s.colour);
       this.data[i + 1].forEach((value, k) => {
         const x = plot.valToPos(this.data[0][k], "x", true);
-        const side = value === null ? 0 : value > plot.scales.y.max ? 1 : value < plot.scales.y.min ? -1 : 0;
+        const side = value === null ? 0 : this.beyond(plot, value);
         if (!side || x < bbox.left || x > bbox.left + bbox.width) return;
         const tip = side > 0 ? bbox.top : bbox.top + bbox.height;
         ctx.beginPath();

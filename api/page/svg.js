@@ -45,7 +45,7 @@ function curve(chart, s, i, { x, y, gap, top, height }) {
   if (s.kind === "band-high" || !there.length) return "";
   if (s.kind === "band-low") return band(chart, s, i, there, { x, y });
   const colour = style(s.colour);
-  const out = (k) => (y(values[k]) < top ? 1 : y(values[k]) > top + height ? -1 : 0);
+  const out = (k) => chart.beyond(chart.plot, values[k]);
   const triangle = (k) => `<path d="M${x(times[k])} ${out(k) > 0 ? top : top + height}l-5 ${10 * out(k)}h10z" fill="${colour}"/>`;
   if (s.kind === "dots") return there.map((k) => (s.edge && out(k) ? triangle(k) : `<circle cx="${x(times[k])}" cy="${y(values[k])}" r="1.8" fill="${colour}"/>`)).join("");
   const pen = there.map((k, n) => `${n && (s.spanGaps || times[k] - times[there[n - 1]] <= gap) ? "L" : "M"}${x(times[k])} ${y(values[k])}`).join("");
