@@ -93,7 +93,8 @@ def _cell(value: float) -> dict[str, Message | str]:
     tint = [round(255 - strength * (255 - c)) for c in (RED if value > 0 else BLUE)]
     colour = ",".join(map(str, tint))
     ink = "black" if _luminance(tint) > EVEN else "white"
-    text = say("report-signed", sign="-" if value < 0.0 else "+", value=abs(float(value)))
+    size = round(abs(float(value)), 2)
+    text = say("report-signed", sign="" if size == 0.0 else "−" if value < 0.0 else "+", value=size)
     return {"text": text, "colour": f"rgb({colour})", "ink": ink}
 
 

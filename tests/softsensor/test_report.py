@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.words.message import Message, catalogue_of, languages
+from daq.words.message import Message, catalogue_of, languages, words
 from softsensor.fitting.core import fitted_core
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.report import fit_report_runs
@@ -154,6 +154,13 @@ def test_ink_shows_on_every_colour_of_the_correlations():
         light = fit_report_runs._luminance(tint)
         contrast = (light + 0.05) / 0.05 if cell["ink"] == "black" else 1.05 / (light + 0.05)
         assert contrast >= 4.5
+
+
+@pytest.mark.parametrize(
+    ("value", "says"), [(0.004, "0.00"), (-0.004, "0.00"), (0.0, "0.00"), (0.006, "+0.01"), (-0.006, "−0.01")]
+)
+def test_a_correlation_that_is_nought_to_its_digits_has_no_sign(value, says):
+    assert words(fit_report_runs._cell(value)["text"], "en") == says
 
 
 def test_the_true_core_is_within_the_fits_band_and_a_better_known_panel_makes_it_narrower(pressed, campaign):
