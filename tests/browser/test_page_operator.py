@@ -242,6 +242,21 @@ def test_the_words_of_a_link_drawn_as_a_button_stand_in_its_middle_also_where_fi
     context.close()
 
 
+def test_a_number_that_only_some_runs_have_is_not_called_different(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    for _ in range(2):
+        feed.pressing()
+    first, second = (record.run for record in feed.store.runs(limit=2).items)
+    feed.store.annotate_run(first, {"panel.moisture_percent": 8.0, "panel.thickness_mm": 16.0}, "test")
+    feed.store.annotate_run(second, {"panel.thickness_mm": 18.0}, "test")
+    page.goto(f"{server.url}#/runs/compare/{first}/{second}")
+    rows = page.get_by_test_id("differences").locator("tbody tr")
+    expect(rows.filter(has_text="Thickness [mm]")).to_contain_text("≠")
+    expect(rows.filter(has_text="Moisture")).to_have_count(1)
+    expect(rows.filter(has_text="Moisture")).not_to_contain_text("≠")
+
+
 def test_channels_of_several_presses_are_listed_with_their_press(served):
     server, feed, page = served
     feed.store.register_press("north press", CHANNELS, LAB.read_text(encoding="utf-8"))

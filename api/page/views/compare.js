@@ -103,14 +103,14 @@ async function coreOf(path) {
 // A curve at given times; a gap of more than 5 s is one.
 const reading = (run, quantity, at) => straight(run[quantity].times, run[quantity].values, at, 5);
 
-// Settings and results, a row each; what is not the same in all runs stands out.
+// Settings and results, a row each; what is not the same in all runs that have it stands out.
 function differences(runs) {
   const keys = [...new Set(runs.flatMap(({ detail, numbers }) => [...Object.keys(detail.header).filter((key) => key !== "run"), ...Object.keys(numbers)]))].sort();
   const value = ({ detail, numbers }, key) => detail.header[key] ?? numbers[key] ?? null;
   const shown = (one) => (one === null ? "–" : typeof one === "number" ? figure(one) : String(one));
   const rows = keys.map((key) => {
-    const cells = runs.map((run) => shown(value(run, key)));
-    return { key, cells, differs: new Set(cells).size > 1 };
+    const values = runs.map((run) => value(run, key));
+    return { key, cells: values.map(shown), differs: new Set(values.filter((one) => one !== null).map(shown)).size > 1 };
   }).sort((a, b) => Number(b.differs) - Number(a.differs));
   return el("section", { class: "card", "data-testid": "differences" }, el("h2", {}, text("page-differences")), table(text("page-differences"),
     [{ text: text("page-name") }, ...runs.map(({ id }) => ({ text: id, class: "right" }))],
