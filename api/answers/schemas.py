@@ -382,6 +382,9 @@ class RunHit(RunSummary):
 class SearchList(Paged[RunHit]):
     """Runs looked for."""
 
+    lacking: list[str]
+    """Names of bounds that a run may have and none of those looked at has."""
+
 
 class RunList(Paged[RunSummary]):
     """One page of runs, newest first."""

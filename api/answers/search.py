@@ -13,8 +13,8 @@ from typing import Any
 from api.answers.decimation import number_or_none
 from api.answers.kept import Kept
 from api.answers.records import is_described, run_summary
-from api.answers.schemas import RunHit
-from daq.press.header import VERDICT
+from api.answers.schemas import RunHit, SearchList
+from daq.press.header import VERDICT, is_number_key
 from daq.records import InputError
 from daq.store.records import Page, RunCore, RunRecord, RunStatus, every
 from daq.store.store import Store
@@ -79,13 +79,13 @@ class Wanted:
         return {self.order.removeprefix("-"), *(bound.name for bound in self.bounds)}
 
 
-def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[list[RunHit], int | None]:
-    """Return some of the runs looked for, and where the next ones begin, None after the last.
+def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> SearchList:
+    """Return some of the runs looked for; the cursor of the next ones is how many are before them.
 
     Raises
     ------
     InputError
-        For a bound on a number that none of them has: it is misspelt rather than out of reach.
+        For a bound on a number that none of them has and none may have: it is misspelt.
     """
     runs = every(lambda at: _page_at(store, wanted, at))
     records = [r for r in runs if _matches(r, wanted)]
@@ -95,12 +95,13 @@ def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[l
     cores = _cores_of(store, records) if wanted.numbers.intersection(CORE) else {}
     found = [(r, numbers_of(r, cores.get(r.run), errors.get(r.run), fits.get(r.run))) for r in records]
     fitted = [fit.get("coefficients", {}) for fit in fits.values()]
-    check_bounds(wanted.bounds, [*(numbers for _, numbers in found), *fitted])
+    lacking = lacking_of(wanted.bounds, [*(numbers for _, numbers in found), *fitted])
     found = [(r, numbers) for r, numbers in found if all(bound.holds(numbers) for bound in wanted.bounds)]
     if wanted.order:
         found = _ordered(found, wanted.order)
     page = [r for r, _ in found[begin : begin + limit]]
-    return hits(store, page), begin + limit if len(found) > begin + limit else None
+    following = str(begin + limit) if len(found) > begin + limit else None
+    return SearchList(items=hits(store, page), next_cursor=following, lacking=lacking)
 
 
 def _page_at(store: Store, wanted: Wanted, cursor: str | None) -> Page[RunRecord]:
@@ -187,13 +188,20 @@ def _cores_of(store: Store, records: Sequence[RunRecord]) -> dict[str, RunCore]:
     return {run: core for (_, run), core in _CORES.get_all(done, look_up).items()}
 
 
-def check_bounds(bounds: Iterable[Bound], numbers: Sequence[Mapping[str, Any]]) -> None:
-    """Refuse a bound on what none of the runs has, whose `numbers` are given by name. Raises `InputError`."""
-    for bound in bounds if numbers else ():
-        if not any(bound.name in own for own in numbers):
-            raise InputError(
-                say("api-search-unknown", name=bound.name, known=tuple(sorted(set().union(*numbers))))
-            )
+def lacking_of(bounds: Iterable[Bound], numbers: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the bounds' names that none of the runs has, whose `numbers` are given by name.
+
+    Raises
+    ------
+    InputError
+        For a name under which no run may have a number.
+    """
+    known = set().union(*numbers)
+    lacking = sorted({bound.name for bound in bounds} - known) if numbers else []
+    for name in lacking:
+        if not is_number_key(name):
+            raise InputError(say("api-search-unknown", name=name, known=tuple(sorted(known))))
+    return lacking
 
 
 def check_order(order: str) -> None:

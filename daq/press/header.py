@@ -139,6 +139,18 @@ def doubts(header: Mapping[str, Any]) -> tuple[Message, ...]:
     return (*_unknown(header), *_far(header))
 
 
+def is_number_key(key: str) -> bool:
+    """Whether a header may have a number under a key: one with limits, or of the plant's own settings.
+
+    Examples
+    --------
+    >>> [is_number_key(k) for k in ("panel.moisture_percent", "setting.speed", "panel.mositure_percent", "rmse")]
+    [True, True, False, False]
+    """
+    base = key.removesuffix(SD)
+    return base in LIMITS or (base.startswith("setting.") and _meant(key) is None)
+
+
 def new_doubts(header: Mapping[str, Any], before: Mapping[str, Any]) -> tuple[Message, ...]:
     """Return what is to be asked about a header that was not about the one before it."""
     earlier = doubts(before)

@@ -2308,6 +2308,7 @@ page-metadata = Metadaten
 page-new-key = Neuer Name
 page-no-fit = Noch nicht angepasst.
 page-no-runs = Keine Pressungen gefunden.
+page-no-runs-lacking = Noch keine Pressung hat { $names }.
 page-no-simulation = Keine Simulation zu dieser Pressung.
 page-not-converged = nicht konvergiert
 page-not-described = vom Modell nicht beschrieben

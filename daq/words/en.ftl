@@ -2295,6 +2295,7 @@ page-metadata = Metadata
 page-new-key = New name
 page-no-fit = Not fitted yet.
 page-no-runs = No runs match.
+page-no-runs-lacking = No run has { $names } yet.
 page-no-simulation = No simulation for this run.
 page-not-converged = not converged
 page-not-described = not described by the model

@@ -56,6 +56,15 @@ def test_a_bound_on_a_number_that_no_run_has_is_refused_and_not_taken_for_one_th
     assert found("rmse>0", q="no such film") == []
 
 
+def test_a_number_that_runs_may_have_and_none_has_finds_nothing_and_is_named(found, client):
+    asked = ["panel.moisture_percent<9", "setting.own_number>1", "panel.thickness_mm>1"]
+    answer = client.get("/api/v1/search", params={"where": asked})
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["items"] == []
+    assert answer.json()["lacking"] == ["panel.moisture_percent", "setting.own_number"]
+    assert client.get("/api/v1/search", params={"where": "core_at_opening_C>900"}).json()["lacking"] == []
+
+
 def test_runs_come_in_the_order_asked_for_and_those_without_the_number_last(found):
     assert found(sort="setting.pressure_N_cm2", q="film") == ["01", "02"]
     assert found(sort="-setting.pressure_N_cm2", q="film") == ["02", "01"]

@@ -221,6 +221,16 @@ def test_a_bound_may_be_written_with_spaces_around_its_sign(served):
     expect(page.get_by_role("link", name="lab-0")).to_have_count(1)
 
 
+def test_a_bound_on_a_number_that_no_run_has_yet_is_answered_in_a_sentence(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing()
+    page.goto(f"{server.url}#/runs?where=panel.moisture_percent<9")
+    expect(page.locator("main")).to_contain_text("No run has panel.moisture_percent yet.")
+    page.get_by_placeholder("panel.thickness_mm=16 rmse_K<1").fill("panel.moisture_percnt<9")
+    expect(page.get_by_role("alert").filter(has_text="'panel.moisture_percnt'")).to_be_visible()
+
+
 def test_the_words_of_a_link_drawn_as_a_button_stand_in_its_middle_also_where_fingers_press_it(served, browser):
     server, feed, _ = served
     feed.pause_s = 0.0

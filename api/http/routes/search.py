@@ -61,5 +61,4 @@ def search_runs(
     check_order(query.sort)
     bounds = [Bound.parse(one) for one in where if one.strip()]
     wanted = Wanted(query.q.split(), bounds, query.press, query.status, *began.span, query.verdict, query.sort)
-    items, following = search_page(store, wanted, int(page.cursor or 0), page.limit)
-    return SearchList(items=items, next_cursor=None if following is None else str(following))
+    return search_page(store, wanted, int(page.cursor or 0), page.limit)

@@ -31,6 +31,7 @@ async function list(place, context) {
   const filter = Object.fromEntries(FILTERS.map((name) => [name, context.query.get(name) ?? ""]));
   let items = [];
   let cursor = null;
+  let lacking = [];
   const body = el("div", {});
   const more = el("button", { type: "button", class: "button", onclick: () => load(true) }, text("page-more"));
   const compareLink = el("a", { class: "button", href: "#/runs", "aria-disabled": "true" }, text("page-compare"));
@@ -69,6 +70,7 @@ async function list(place, context) {
       if (mine !== turn) return;
       items = next ? items.concat(page.items) : page.items;
       cursor = page.next_cursor;
+      lacking = page.lacking;
     } catch (error) {
       if (error.status !== 422) throw error;
       if (mine === turn) body.replaceChildren(el("p", { class: "small bad-text", role: "alert" }, error.message)); // a bound half typed
@@ -87,7 +89,7 @@ async function list(place, context) {
   }
 
   function draw() {
-    if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("page-no-runs"))); return; }
+    if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("page-no-runs"), lacking.length ? ` ${text("page-no-runs-lacking", { names: lacking.join(", ") })}` : "")); return; }
     const cell = (value, digits, unit) => el("span", { class: "num" }, value === null || value === undefined ? "–" : `${number(value, digits)} ${unit}`);
     const columns = [["press_time_s", "page-pressed", 1, "s"], ["core_at_opening_C", "page-core-at-opening", 1, "°C"], ["core_peak_C", "page-core-peak", 1, "°C"], ["band_at_opening_K", "page-band-at-opening", 1, "K"], ["rmse_K", "page-rmse", 2, "K"]];
     body.replaceChildren(table(text("page-nav-runs"), [
