@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from api.demo.press import virtual_press_of
@@ -77,8 +78,10 @@ class _Demo:
         self._noted: set[str] = set()
         self._pressed: set[int] = set()
         """Which of the virtual press's pressings were found."""
-        self._entered_panel: Mapping[str, Any] = {}
-        """What the virtual press has taken of the next panels."""
+        self._entered_panel: datetime | None = None
+        """When it was entered what panels the press lays in, None for its own."""
+        self._given = self._taken = 0
+        """How often the loggers were given panels, and how often they said from which pressing on."""
         self._ended: dict[str, tuple[float, int]] = {}
         self.config = plan.folder / "kerntemp.toml"
         self._night: subprocess.Popen[str] | None = None
@@ -138,6 +141,7 @@ class _Demo:
             answering.set()
             if "panel" in line:
                 self.truth.set_panels(line["from"], line["panel"])
+                self._taken += 1
 
         self.children.listen_to_loggers(take)
         return answering
@@ -217,16 +221,21 @@ class _Demo:
         return self.plan.pressings is not None and len(self.findings) >= self.plan.pressings
 
     def _pass_on(self) -> None:
-        """Have the press lay in what somebody entered for the next panel, for as long as the store keeps it."""
+        """Have the press lay in what somebody enters for the next panel.
+
+        What the store forgets of it once a panel was begun with it is no other panel: at many times real speed
+        that may be one that lay in the press before.
+        """
         stated = self.store.next_panel(PRESS)
-        header = {} if stated is None else stated.header
-        if header != self._entered_panel:
-            self._entered_panel = header
-            self.children.send_to_loggers({"panel": header})
+        entered = None if stated is None else stated.utc
+        if entered != self._entered_panel:
+            self._entered_panel = entered
+            self._given += 1
+            self.children.send_to_loggers({"panel": {} if stated is None else stated.header})
 
     def _note(self, record: RunRecord) -> None:
         """Write down, as soon as a pressing runs, what is in the press: what somebody entered was laid in."""
-        if record.run in self._noted or record.status is not RunStatus.OPEN:
+        if self._taken < self._given or record.run in self._noted or record.status is not RunStatus.OPEN:
             return
         self._noted.add(record.run)
         cycle = self._cycle(record, 0.0)

@@ -58,6 +58,7 @@ GOOD, BLISTER = "good", "blister"
 VERDICTS = (GOOD, BLISTER, "undercured", "scrap")
 """What became of a panel, as the operator saw it."""
 VERDICT = "panel.verdict"
+START = "panel.initial_temperature_C"
 """The key it stands under."""
 CONSTANTS = ("panel.density_kg_m3", "panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """What the material table has of a panel."""
@@ -155,6 +156,11 @@ def new_doubts(header: Mapping[str, Any], before: Mapping[str, Any]) -> tuple[Me
     """Return what is to be asked about a header that was not about the one before it."""
     earlier = doubts(before)
     return tuple(doubt for doubt in doubts(header) if doubt not in earlier)
+
+
+def lasting_keys(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what header keys entered for the next panel say of those after it: all but its start temperature."""
+    return {key: value for key, value in header.items() if key not in (START, START + SD)}
 
 
 def panel_of(run: Run) -> Panel:

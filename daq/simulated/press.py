@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.press.header import panel_of
+from daq.press.header import START, lasting_keys, panel_of
 from daq.records import Array, Moments, Panel, PressState, Run
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
@@ -151,11 +151,13 @@ class VirtualPress:
     def set_panels(self, number: int, header: Mapping[str, Any]) -> None:
         """From a pressing on, lay in panels such as header keys say; what they do not say is the press's own.
 
+        The start temperature is the first panel's alone, as where it is entered for the next panel.
         What a panel is, and the pressure, are obeyed; other keys stand in the cycle's header and change nothing. A
         pressing from there on that is solved already is solved anew, and comes in its place once that is done.
         """
         with self._lock:
-            self._headers = [*(entry for entry in self._headers if entry[0] < number), (number, dict(header))]
+            before = [entry for entry in self._headers if entry[0] < number]
+            self._headers = [*before, (number, dict(header)), (number + 1, lasting_keys(header))]
             earlier = [cycle for cycle in self._cycles if cycle.number < number]
             ahead = self._cycles[-1].number + 1 if self._cycles else 1
             if self._next is None or number > ahead:
@@ -280,7 +282,7 @@ class VirtualPress:
             "panel.material": "MDF",
             "panel.thickness_mm": self.settings.thickness_mm,
             MOISTURE: USUAL_MOISTURE_PERCENT,
-            "panel.initial_temperature_C": start_C,
+            START: start_C,
         }
         return own | {key: value for key, value in stated.items() if key.startswith(PANEL)}
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert, select, update
 
+from daq.press.header import lasting_keys
 from daq.records import InputError
 from daq.store.convert import header_text, known_utc, unix_of
 from daq.store.journal import log
@@ -24,7 +25,6 @@ PROCESS = "record"
 
 RECIPE_KEY = "recipe"
 """Header key with the name of the recipe a run was pressed by."""
-ONCE = "panel.initial_temperature_C"
 
 
 def next_panel(connection: Connection, press: str) -> NextPanel | None:
@@ -52,7 +52,7 @@ def put_next_panel(connection: Connection, press: str, header: Mapping[str, Any]
             raise InputError(say("recipe-unknown", recipe=recipe, known=tuple(kept)))
         header = kept[recipe]
     elif recipe:
-        lasting = {key: value for key, value in header.items() if key != ONCE}
+        lasting = lasting_keys(header)
         connection.execute(delete(RECIPE).where(RECIPE.c.name == recipe))
         connection.execute(insert(RECIPE), {"name": recipe, "header_toml": header_text(lasting)})
     connection.execute(delete(NEXT_PANEL).where(NEXT_PANEL.c.press == press))
@@ -93,7 +93,7 @@ def take_next_panel(connection: Connection, press: str, noticed_unix_s: float) -
         return {}
     if stated is None or unix_of(stated.utc) > noticed_unix_s:
         return {}
-    lasting = {key: value for key, value in stated.header.items() if key != ONCE}
+    lasting = lasting_keys(stated.header)
     if len(lasting) < len(stated.header):
         changed = update(NEXT_PANEL).where(NEXT_PANEL.c.press == press)
         connection.execute(changed.values(header_toml=header_text(lasting)))

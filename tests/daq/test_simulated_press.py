@@ -182,6 +182,17 @@ def test_what_is_said_holds_for_the_panel_that_comes_and_for_none_that_is_in_the
         assert judge.temperatures(at_s) == press.temperatures(at_s)
 
 
+def test_a_start_temperature_that_was_entered_is_that_of_one_panel_alone() -> None:
+    press = VirtualPress(seed=3)
+    press.set_panels(1, {"panel.thickness_mm": 22.0, "panel.initial_temperature_C": 31.0})
+    first = press.cycle(0.0)
+    second = press.cycle(first.end)
+    assert (first.pressing.panel.thickness, second.pressing.panel.thickness) == (0.022, 0.022)
+    assert first.header["panel.initial_temperature_C"] == 31.0
+    assert abs(second.pressing.panel.initial_temperature - press.ambient) < 3.0
+    assert second.header["panel.initial_temperature_C"] == pytest.approx(press.ambient, abs=4.0)
+
+
 def test_a_wetter_panel_evaporates_more_where_evaporation_is_hidden() -> None:
     wet, dry = (VirtualPress(VirtualPressSettings(hide=("moisture_evaporation",)), seed=3) for _ in range(2))
     wet.set_panels(1, {"panel.moisture_percent": 12.0})
