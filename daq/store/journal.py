@@ -82,9 +82,10 @@ def journal(
     process: str | None = None,
     cursor: str | None = None,
     limit: int = 50,
+    until: datetime | None = None,
 ) -> Page[JournalEntry]:
-    """Return a page of the journal, newest first."""
-    rows, following = newest_first(connection, EVENT, press, cursor, limit, level=level, process=process)
+    """Return a page of the journal, newest first; with `until` of what was written before."""
+    rows, following = newest_first(connection, EVENT, press, cursor, limit, until, level=level, process=process)
     return Page(tuple(_entry(r) for r in rows), following)
 
 

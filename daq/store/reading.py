@@ -392,9 +392,13 @@ def newest_first(
     press: str | None,
     cursor: str | None,
     limit: int,
+    until: datetime | None = None,
     **only: str | None,
 ) -> tuple[list[Row[Any]], str | None]:
-    """Return a page of a table's rows, newest first, and the next cursor; `only` chooses by other columns."""
+    """Return a page of a table's rows, newest first, and the next cursor; `only` chooses by other columns.
+
+    With `until` those written before that time.
+    """
     (column,) = table.primary_key
     query = select(table, column.label("row_number")).order_by(column.desc()).limit(limit + 1)
     for name, wanted in {"press": press, **only}.items():
@@ -402,5 +406,8 @@ def newest_first(
             query = query.where(table.c[name] == wanted)
     if cursor is not None:
         query = query.where(column < cursor_number(cursor))
+    if until is not None:
+        written = table.c.unix_s if "unix_s" in table.c else table.c.created_unix_s
+        query = query.where(written < until.timestamp())
     rows = list(connection.execute(query).all())
     return rows[:limit], str(rows[limit - 1].row_number) if len(rows) > limit else None

@@ -318,10 +318,15 @@ def model(connection: Connection, version: str) -> ModelRecord:
 
 
 def models(
-    connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
+    connection: Connection,
+    *,
+    press: str | None = None,
+    cursor: str | None = None,
+    limit: int = 50,
+    until: datetime | None = None,
 ) -> Page[ModelRecord]:
-    """Return a page of model versions, newest first."""
-    rows, following = newest_first(connection, MODEL, press, cursor, limit)
+    """Return a page of model versions, newest first; with `until` of those made before."""
+    rows, following = newest_first(connection, MODEL, press, cursor, limit, until)
     return Page(tuple(_model(row) for row in rows), following)
 
 
@@ -342,10 +347,15 @@ def put_diagnosis(connection: Connection, press: str, diagnosis: Mapping[str, An
 
 
 def diagnoses(
-    connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
+    connection: Connection,
+    *,
+    press: str | None = None,
+    cursor: str | None = None,
+    limit: int = 50,
+    until: datetime | None = None,
 ) -> Page[DiagnosisRecord]:
-    """Return a page of diagnoses, newest first."""
-    rows, following = newest_first(connection, DIAGNOSIS, press, cursor, limit)
+    """Return a page of diagnoses, newest first; with `until` of those made before."""
+    rows, following = newest_first(connection, DIAGNOSIS, press, cursor, limit, until)
     items = tuple(
         DiagnosisRecord(
             r.diagnosis_id, r.press, known_utc(r.created_unix_s), r.verdict, json.loads(r.diagnosis_json)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
@@ -73,24 +73,24 @@ def _record(
         active = store.active_model(press)
     else:
         active = store.model(outcome.version) if outcome.version else None
-    diagnoses = every(lambda cursor: store.diagnoses(press=press, cursor=cursor, limit=1))
-    models = every(lambda cursor: store.models(press=press, cursor=cursor, limit=SHOWN_MODELS))
-    runs = every(lambda cursor: store.runs(press=press, cursor=cursor, limit=SHOWN_RUNS))
-    failures = every(
-        lambda cursor: store.journal(press=press, level="warning", cursor=cursor, limit=SHOWN_ENTRIES)
-    )
-
-    def there(utc: datetime | None) -> bool:
-        return until is None or utc is None or utc <= until  # a run of an unknown date came in by a file
-
-    diagnosis = next((d for d in diagnoses if there(d.created_utc)), None)
+    diagnoses = store.diagnoses(press=press, limit=1, until=until).items
     return NightRecord(
         outcome=outcome,
         written=written,
         press_file=store.presses().get(press, ""),
         in_force=active.model if active else None,
-        diagnosis=diagnosis.diagnosis if diagnosis else None,
-        models=list(islice((m for m in models if there(m.created_utc)), SHOWN_MODELS)),
-        runs=[(r, store.fit(r.run)) for r in islice((r for r in runs if there(r.started_utc)), SHOWN_RUNS)],
-        failures=list(islice((e for e in failures if there(e.utc)), SHOWN_ENTRIES)),
+        diagnosis=diagnoses[0].diagnosis if diagnoses else None,
+        models=store.models(press=press, limit=SHOWN_MODELS, until=until).items,
+        runs=[(run, store.fit(run.run)) for run in _runs(store, press, until)],
+        failures=store.journal(press=press, level="warning", limit=SHOWN_ENTRIES, until=until).items,
+    )
+
+
+def _runs(store: Store, press: str, until: datetime | None) -> Iterator[RunRecord]:
+    """Yield the newest runs; with `until` those begun before, with what came in by a file without a date."""
+    begun = store.runs(press=press, limit=1, until=until).items
+    newer = str(begun[0].number + 1) if begun else None
+    runs = every(lambda cursor: store.runs(press=press, cursor=cursor or newer, limit=SHOWN_RUNS))
+    yield from islice(
+        (r for r in runs if until is None or r.started_utc is None or r.started_utc < until), SHOWN_RUNS
     )

@@ -402,6 +402,22 @@ def test_one_model_of_a_press_is_active_and_its_history_stays(store):
     assert store.active_model("other") is None
 
 
+def test_models_diagnoses_and_journal_of_before_a_time_are_asked_for_without_what_came_after(store):
+    written = []
+    for n in ("1", "2", "3"):
+        store.put_model("lab", n, {})
+        store.put_diagnosis("lab", {"verdict": n})
+        store.log("warning", "sense", n, "lab")
+        written.append(datetime.now(UTC))
+    asked = {"press": "lab", "until": written[1]}
+    assert [model.version for model in store.models(**asked).items] == ["2", "1"]
+    assert [found.verdict for found in store.diagnoses(**asked).items] == ["2", "1"]
+    page = store.journal(**asked, level="warning", limit=1)
+    assert [str(line.message) for line in page.items] == ["2"]
+    following = store.journal(**asked, level="warning", cursor=page.next_cursor)
+    assert [str(line.message) for line in following.items] == ["1"]
+
+
 def test_diagnoses_journal_and_status_are_kept(store):
     store.put_diagnosis("lab", {"verdict": "named", "seconds": math.nan})
     assert store.diagnoses(press="lab").items[0].diagnosis == {"verdict": "named", "seconds": None}
