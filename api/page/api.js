@@ -70,6 +70,19 @@ async function request(method, target, options) {
   return value;
 }
 
+// Work done now and again while the page is looked at: not while its answer is being waited for, unless that has died
+// unnoticed. Where answers take longer than `ms`, unanswered questions would pile up and overtake one another.
+export function again(work, ms, { hiddenToo = false } = {}) {
+  let asked = -Infinity;
+  const timer = setInterval(async () => {
+    if ((document.hidden && !hiddenToo) || performance.now() - asked < SILENT_MS) return;
+    const mine = (asked = performance.now());
+    await work().catch(() => { /* the link state says it */ });
+    if (asked === mine) asked = -Infinity;
+  }, ms);
+  return () => clearInterval(timer);
+}
+
 // Server-Sent Events over fetch: EventSource cannot send a token. Reconnects by itself and
 // catches up with Last-Event-ID; `onState` hears "live" or "lost".
 export function follow(handlers, onState) {

@@ -1,5 +1,5 @@
 // The page's frame: which view, which language, light or dark, and the one live connection all views share.
-import { follow, get } from "./api.js";
+import { again, follow, get } from "./api.js";
 import { listen } from "./bell.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
@@ -172,7 +172,6 @@ await refreshPresses();
 show();
 connect();
 refreshHealth();
-setInterval(refreshHealth, 5000);
-const hear = () => listen().catch(() => { /* the link state says it */ }); // also in a tab that is not looked at
-hear();
-setInterval(hear, 5000);
+again(refreshHealth, 5000);
+listen().catch(() => { /* the link state says it */ });
+again(listen, 5000, { hiddenToo: true });

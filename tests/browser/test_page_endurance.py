@@ -76,6 +76,31 @@ def test_when_the_line_goes_dead_old_readings_are_called_old_until_new_ones_come
     writer.join(240)
 
 
+@pytest.mark.parametrize(
+    ("view", "path"),
+    [("presses", "press"), ("now", "press"), ("wall", "press"), ("alarms", "alarms"), ("loggers", "channels")],
+)
+def test_what_is_asked_for_again_and_again_waits_for_its_answer(served, view, path):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing()
+    page.clock.install()
+    page.goto(f"{server.url}#/{view}")
+    expect(page.locator("#link")).to_have_text("live")
+    expect(page.locator("main .card, main .wall").first).to_be_visible()
+    page.wait_for_load_state("load")
+    page.route(f"**/api/v1/{path}*", lambda _: None)  # never answered
+    asked = []
+    page.on("request", lambda one: asked.append(one.url) if f"/api/v1/{path}" in one.url else None)
+    askers = 1 + (view == "alarms")  # the bell listens for alarms, too
+    page.clock.run_for(20_000)
+    page.evaluate("() => 1")
+    assert len(asked) == askers
+    page.clock.run_for(20_000)
+    page.evaluate("() => 1")
+    assert len(asked) == 2 * askers  # a line that died unnoticed is no reason to wait for ever
+
+
 def test_readings_shown_once_are_called_old_when_nothing_follows_them(served):
     server, feed, page = served
     writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)

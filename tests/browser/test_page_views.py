@@ -733,13 +733,24 @@ def test_the_skip_link_reaches_the_content_and_stays_in_the_view(plant):
     expect(page.get_by_role("heading", name="Runs")).to_be_visible()
 
 
+LOADING = "() => getComputedStyle(document.querySelector('main .stack'), '::after').content === '\"loading …\"'"
+
+
 def test_before_the_first_answer_the_page_is_loading_and_not_cut_off(served):
     server, _, page = served
     page.route("**/api/v1/press*", lambda _: None)  # never answered
     page.goto(server.url)
     expect(page.locator("#link")).to_have_text("connecting …")
-    shown = "getComputedStyle(document.querySelector('main .stack'), '::after').content"
-    page.wait_for_function(f"{shown} === '\"loading …\"'")
+    page.wait_for_function(LOADING)
+
+
+@pytest.mark.parametrize("view", ["presses", "loggers"])
+def test_before_its_first_answer_a_view_is_loading_and_not_empty(served, view):
+    server, _, page = served
+    page.route("**/api/v1/health*", lambda _: None)  # never answered
+    page.goto(f"{server.url}#/{view}")
+    expect(page.locator("#link")).to_have_text("live")
+    page.wait_for_function(LOADING)
 
 
 def test_a_change_is_tried_from_the_api_page_with_a_body(plant):

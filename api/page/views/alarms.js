@@ -1,6 +1,6 @@
 // Alarms: what stands, who has taken it on, the limits of the press, and how this browser announces new ones.
 import { announce } from "../announce.js";
-import { get, post, put } from "../api.js";
+import { again, get, post, put } from "../api.js";
 import { wanted, want } from "../bell.js";
 import { clock, el, table, when, written } from "../dom.js";
 import { inWords, text } from "../words.js";
@@ -27,8 +27,7 @@ export async function show(place, context) {
   place.append(list, bellCard(), limits);
   if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
   else limits.remove();
-  const timer = setInterval(() => { if (!document.hidden) load().catch(() => {}); }, 3000);
-  return () => clearInterval(timer);
+  return again(load, 3000);
 }
 
 function drawList(place, items, load) {

@@ -1,12 +1,11 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
-import { get } from "../api.js";
+import { again, get } from "../api.js";
 import { standing } from "../channels.js";
 import { bytes, clock, duration, el, number, reading, table } from "../dom.js";
 import { has, inWords, text } from "../words.js";
 
 export async function show(place) {
   const holder = el("div", { class: "stack" });
-  place.append(holder);
   const load = async () => {
     const [channels, health, events, presses] = await Promise.all([get("/channels"), get("/health"), get("/events", { limit: 200 }), get("/press")]);
     const silentAfter = Object.fromEntries(presses.items.map((one) => [one.press, one.silent_after_s]));
@@ -16,8 +15,8 @@ export async function show(place) {
     holder.querySelector("[data-testid=loggers] .scroll")?.scrollTo({ left: scrolled });
   };
   await load();
-  const timer = setInterval(() => { if (!document.hidden) load().catch(() => {}); }, 3000);
-  return () => clearInterval(timer);
+  place.append(holder);
+  return again(load, 3000);
 }
 
 function storeCard({ store, status }) {

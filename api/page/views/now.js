@@ -1,6 +1,6 @@
 // Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
 import { announce } from "../announce.js";
-import { get } from "../api.js";
+import { again, get } from "../api.js";
 import { COLOURS, facesOf, groupName, roleOf, standing } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
@@ -22,8 +22,9 @@ export async function show(place, context) {
   context.on("run", (data) => live.run(data));
   context.on("link", (state) => { if (state === "live") live.load().catch(() => {}); }); // the next poll asks again
   // Readings age from when they are shown, also while what is asked for next never comes.
-  const timers = [setInterval(() => live.poll(), 2000), setInterval(() => live.now && live.showAge(), 1000)];
-  const leave = () => { timers.forEach(clearInterval); live.closed = true; document.documentElement.removeAttribute("data-stale"); };
+  const ageing = setInterval(() => live.now && live.showAge(), 1000);
+  const stop = again(() => live.poll(), 2000);
+  const leave = () => { stop(); clearInterval(ageing); live.closed = true; document.documentElement.removeAttribute("data-stale"); };
   try {
     await live.load();
   } catch (error) {
@@ -42,7 +43,7 @@ class LivePress {
     if (this.loading) return;
     this.loading = true;
     try {
-      const { items } = await get("/press");
+      const { items } = await get("/press", { press: this.context.press });
       this.now = items.find((item) => item.press === this.context.press) ?? items[0] ?? null;
       if (this.closed) return;
       if (!this.now) {
@@ -63,7 +64,7 @@ class LivePress {
   async poll() {
     if (document.hidden || this.loading) return;
     try {
-      const { items } = await get("/press");
+      const { items } = await get("/press", { press: this.context.press });
       const fresh = items.find((item) => item.press === this.now?.press);
       if (!fresh) { if (items.length) await this.load(); return; }
       if (this.closed) return;

@@ -1,12 +1,11 @@
 // All presses at once: one tile each with state, core, the one answer and what is wrong; thirty on one screen.
-import { get } from "../api.js";
+import { again, get } from "../api.js";
 import { el } from "../dom.js";
 import { text } from "../words.js";
 import { showAnswer, showCore, showLight, startingOf, stateOf, wrongOf } from "./answer.js";
 
 export async function show(place) {
   const grid = el("div", { class: "presses", "data-testid": "presses" });
-  place.append(el("h1", { class: "unseen" }, text("page-nav-presses")), grid);
   const tiles = new Map();
   const load = async () => {
     const [{ items }, health] = await Promise.all([get("/press"), get("/health")]);
@@ -15,13 +14,15 @@ export async function show(place) {
       if (!tiles.has(now.press)) tiles.set(now.press, tile(now.press));
       Object.assign(tiles.get(now.press), { now, received, wrong: wrongOf(health, now.press, { tile: true }), starting: startingOf(health) });
     }
+    if (!grid.parentNode) place.append(el("h1", { class: "unseen" }, text("page-nav-presses")), grid);
     if (grid.children.length !== tiles.size) grid.replaceChildren(...[...tiles.values()].map(({ node }) => node));
     tiles.forEach(draw);
     fit(grid);
   };
   await load();
-  const timers = [setInterval(() => { if (!document.hidden) load().catch(() => {}); }, 2000), setInterval(() => tiles.forEach(draw), 1000)];
-  return () => timers.forEach(clearInterval);
+  const ageing = setInterval(() => tiles.forEach(draw), 1000);
+  const leave = again(load, 2000);
+  return () => { leave(); clearInterval(ageing); };
 }
 
 // Tiles that together are higher than the screen are drawn closer.

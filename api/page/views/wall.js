@@ -1,5 +1,5 @@
 // The wall: core, the one answer, press state and one health light, to be read from four metres; nothing to press.
-import { get } from "../api.js";
+import { again, get } from "../api.js";
 import { duration, el } from "../dom.js";
 import { text } from "../words.js";
 import { CoreChart, courseOf, showAnswer, showCore, showLight, startingOf, stateOf, targetOf, take, wrongOf } from "./answer.js";
@@ -11,10 +11,12 @@ export async function show(place, context, [press]) {
   document.documentElement.toggleAttribute("data-wall", true);
   const leaveByKey = (event) => { if (event.key === "Escape" && !document.fullscreenElement) location.hash = "#/now"; };
   document.addEventListener("keydown", leaveByKey);
-  const timers = [setInterval(() => wall.ask(), 2000), setInterval(() => wall.now && wall.showAge(), 1000)];
+  const ageing = setInterval(() => wall.now && wall.showAge(), 1000);
+  const leave = again(() => wall.ask(), 2000);
   await wall.ask();
   return () => {
-    timers.forEach(clearInterval);
+    leave();
+    clearInterval(ageing);
     document.removeEventListener("keydown", leaveByKey);
     for (const name of ["data-wall", "data-stale"]) document.documentElement.removeAttribute(name);
     wall.chart?.close();
