@@ -290,6 +290,19 @@ def test_the_faces_beside_the_next_panel_are_those_of_the_tiles(pressing):
     )
 
 
+def test_the_faces_beside_the_next_panel_are_those_of_the_tiles_while_the_live_sensor_is_silent(pressing, served):
+    server, page = pressing
+    page.goto(server.url + "#/now")
+    expect(page.locator(".faces-now")).to_contain_text("°C above")
+    served[1].store.append_estimates = lambda *_: None
+    expect(page.get_by_test_id("answer")).to_contain_text("the live sensor has given no estimate for")
+    page.route("**/api/v1/press*", lambda route: route.abort())
+    was = float(page.locator(".faces-now").text_content().split()[3])
+    page.wait_for_function(
+        f"() => parseFloat(document.querySelector('.faces-now').textContent.split(' ')[3]) > {was + 1.0}"
+    )
+
+
 def test_what_stands_beside_the_core_is_of_the_last_estimate_too(pressing, served, monkeypatch):
     server, page = pressing
     feed, store = served[1], served[1].store

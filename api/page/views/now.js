@@ -280,6 +280,7 @@ class LivePress {
     this.now.faces = facesOf(this.now); // else sketch and next panel would stand two seconds behind the tiles
     this.hear(0);
     this.soon("tiles");
+    this.factsSoon();
     if (data.run !== this.shown || !this.rows || data.time_s === null) return;
     const times = this.rows[0];
     if (times.length && data.time_s <= times.at(-1)) return;
@@ -295,7 +296,7 @@ class LivePress {
     take(this.now, data);
     this.course = courseOf(data) ?? this.course;
     this.soon("showCore");
-    this.due ??= setTimeout(() => { this.due = null; if (!this.closed) this.facts(); }, FACTS_MS); // the last one is never left out
+    this.factsSoon();
     if (data.run !== this.shown || !this.rows) return;
     this.reached = Math.max(this.reached, data.time_s ?? this.reached);
     const row = lastAt(this.rows[0], data.time_s);
@@ -321,6 +322,11 @@ class LivePress {
 
   run(data) {
     if (data.press === this.now?.press) this.poll();
+  }
+
+  // What stands beside the core, now and then; the last change is never left out.
+  factsSoon() {
+    this.due ??= setTimeout(() => { this.due = null; if (!this.closed) this.facts(); }, FACTS_MS);
   }
 
   // At most one redraw of the numbers a frame.
