@@ -124,7 +124,7 @@ class PressLine:
         self._plans = tuple(plan_of(x) for x in settings.logger)
         threads = [self._thread_of(x, logger) for x, logger in zip(settings.logger, loggers, strict=True)]
         channels = _channels(threads, self._detector.wires)
-        outbox.expect(channels)
+        outbox.expect(channels, settings.name, self._press_file)
         self._key, names = self._enter(store, channels)
         self._keeper = RunKeeper(self._rules(text), names, self._panel_places(channels))
         self._scanner = Scanner(threads, self._period_s, speed, self._key.next_number)
@@ -197,7 +197,7 @@ class PressLine:
         channels = _channels(threads, self._detector.wires)
         if channels != self._key.channels:
             self._key = replace(self._key, layout_id=0, channels=channels)
-            self._outbox.expect(channels)
+            self._outbox.expect(channels, self.settings.name, self._press_file)
         self._keeper.change(self._rules(change.text), self._panel_places(channels))
         self._scanner.change(threads, self._period_s, self._stop)
         self._journal("info", say("configuration-in-force"), self.settings.name)

@@ -36,6 +36,11 @@ buffer damaged or gone         ``buffer ... is damaged (...): set aside as ...; 
                                are lost; recording goes on`` (alarm)
 entry no store takes           ``the store does not take ...; set aside in ....set-aside.jsonl, everything else is
                                written`` (alarm)
+store restored meanwhile       ``store ...: its tables are missing or not all there, as while a backup is being
+                               restored; ...; scans wait in ...`` (alarm), back-filled when they are there again
+store on an older state        ``store ...: it has gone back to an older state, ...; scans N to M of press lab,
+                               ..., were written and are not in it any more`` (alarm); recording goes on there
+store without this press       ``store ...: press lab is not in it any more, ...`` (alarm); it is entered anew
 name of a run taken            ``run ... is in the store already; this pressing is stored as ...`` (warning)
 started within a pressing      ``press lab: recording begins with a panel that is hot already; ...`` (warning):
                                without a wire nobody knows its closing, its scans are kept without a run

@@ -23,7 +23,7 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
-from daq.store.file_rescue import Identity, hold, identity_of, log_cut, logs_of, rescue, settle
+from daq.store.file_rescue import Identity, hold, identity_of, is_exchanged, log_cut, logs_of, rescue, settle
 from daq.store.records import NotAStore, StoreUnavailable
 from daq.store.sound_rows import is_torn, store_label
 from daq.words import Message, say, spoken
@@ -67,6 +67,7 @@ class Database:
             _check_place(self.path, create)
         self.engine = self._make_engine(busy_s)
         self._busy_s = busy_s
+        self._schema = max(migrations())
         self._prepared = False
         self._preparing = threading.Lock()
         self._identity: Identity | None = None
@@ -167,6 +168,15 @@ class Database:
         self.hold_on()
         return aside
 
+    def let_go(self) -> bool:
+        """Go on in what lies at the path now, where nothing is left of the file held on to; return whether."""
+        if self.path is None or self._held is None or not is_exchanged(self._held, self.path):
+            return False
+        self._held = None
+        self._open_anew()
+        self.hold_on()
+        return True
+
     def _open_anew(self) -> None:
         self.engine.dispose(close=False)
         self.engine, self._prepared = self._make_engine(self._busy_s), False
@@ -232,6 +242,11 @@ class Database:
                 remedy = None if self.path else "store-remedy-server-damaged"
                 raise StoreUnavailable(_advice(self, reason, remedy)) from error
             raise
+
+    def check_whole(self, connection: Connection) -> None:
+        """Raise `StoreUnavailable` where the tables are gone or not all back, as while it is restored."""
+        if self._version(connection) < self._schema:
+            raise StoreUnavailable(say("store-without-tables", store=self.label))
 
     def _refuse_own_view(self, error: Exception) -> None:
         """Say which view somebody made on ours keeps the schema from being brought up to date."""
@@ -426,6 +441,8 @@ _REMEDIES = {
     "unable to open": "store-remedy-folder",
     "disk I/O error": "store-remedy-disk-failed",
     "malformed": "store-remedy-damaged",
+    "not a database": "store-remedy-damaged",
+    "no such table": "store-remedy-damaged",
     "connection": "store-remedy-server",
     "server closed": "store-remedy-server",
     "password": "store-remedy-password",

@@ -46,6 +46,7 @@ _BEGINS = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 """What a log begins with. https://www.sqlite.org/fileformat2.html#walformat"""
 _LOG_HEADER, _PAGE_HEADER = 32, 24
 """Bytes before the log's first page, and before each. Same source."""
+_PRESSES = "SELECT count(*) FROM press"
 LOGS = ("-wal", "-shm")
 """What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
 
@@ -186,13 +187,30 @@ def _copy(held: sqlite3.Connection, copy: sqlite3.Connection, alive: Callable[[]
     copy.set_progress_handler(alive, _STEPS_AT_ONCE)  # returns None, which lets it go on
     if (found := copy.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise sqlite3.DatabaseError(found)
+    copy.execute(_PRESSES)  # what an emptied file leaves is sound, and nothing
+
+
+def is_exchanged(held: sqlite3.Connection, path: Path) -> bool:
+    """Whether a held connection reaches no store any more, and a sound one lies at its path: a backup, say."""
+    try:
+        held.execute(_PRESSES)
+    except sqlite3.Error as error:
+        if passes(error):
+            return False
+    else:
+        return False
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+            return bool(connection.execute(_PRESSES).fetchone()[0]) and not damage_of(path)
+    except sqlite3.Error:
+        return False
 
 
 def _holds_presses(path: Path) -> bool:
     """Whether a file is more than the empty one that opening a missing store leaves."""
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro&immutable=1", uri=True)) as connection:
-            return bool(connection.execute("SELECT count(*) FROM press").fetchone()[0])
+            return bool(connection.execute(_PRESSES).fetchone()[0])
     except sqlite3.Error:
         return path.stat().st_size > 0
 

@@ -22,7 +22,7 @@ from typing import Any
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store.buffer import Buffer, set_aside
 from daq.store.convert import known_utc
-from daq.store.records import PressKey, StoreUnavailable
+from daq.store.records import PressGone, PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
@@ -67,6 +67,8 @@ class Outbox:
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
+        self._newest: dict[int, int] = {}
+        """The newest scan that was written of each press, by its number in the store."""
         self._per_second = per_second
         self._gather_s = gather_s
         self._acknowledged = acknowledged or (lambda batch: None)
@@ -136,8 +138,9 @@ class Outbox:
             return self._buffer.hours_left(self._per_second)
         return max(0, _MOST_WAITING - self.waiting) / self._per_second / 3600.0
 
-    def expect(self, channels: Sequence[Channel]) -> None:
-        """Reckon with scans of so many channels before the first one waits."""
+    def expect(self, channels: Sequence[Channel], press: str = "", press_file: str = "") -> None:
+        """Reckon with scans of so many channels before the first one waits; keep what their press is."""
+        self._placement.press_files[press] = press_file
         if self._buffer is not None:
             self._buffer.expect(len(encode_item(_example(channels))))
 
@@ -192,12 +195,15 @@ class Outbox:
     def _watch_file(self) -> None:
         """Bring a file that was deleted, moved or exchanged back to its place, with all it holds."""
         database = self._store.database
-        if database.moved and database.held:
+        if database.moved and database.held and database.let_go():
+            self._journal("alarm", say("store-taken-over", store=self._store.label))
+        elif database.moved and database.held:
             beside = "store-rescued-log" if database.log_gone else "store-rescued-beside"
             if cut := database.log_cut:
                 beside = "store-rescued-cut"
             aside = database.rescue(self._moves)
             if cut:
+                self._newest.clear()
                 self._again, self._unsettled = [*self._again, *self._unsettled], deque(maxlen=_MOST_WAITING)
             details: dict[str, Any] = {"store": self._store.label, "aside": str(aside), "count": len(self._again)}
             self._journal("alarm", Message(beside if aside else "store-rescued", details))
@@ -319,12 +325,32 @@ class Outbox:
         ready: list[WriteBatch] = []
         for batch in (item for item in items if isinstance(item, WriteBatch)):
             if self._placement.waits_for_place(batch):
-                self._store.write_batches(ready)
+                self._write_placed(ready)
                 ready = []
                 for run in self._placement.place(batch.key).interrupted:
                     self._store.log("warning", "record", say("run-interrupted", run=run), batch.key.name)
             ready.append(self._placement.moved(batch))
-        self._store.write_batches(ready, [item for item in items if isinstance(item, Entry)])
+        self._write_placed(ready, [item for item in items if isinstance(item, Entry)])
+
+    def _write_placed(self, batches: Sequence[WriteBatch], lines: Sequence[Entry] = ()) -> None:
+        """Write, and report where the store lacks what it had: an older state of it, or another one, is there."""
+        try:
+            there = self._store.write_batches(batches, lines)
+        except PressGone as gone:
+            self._placement.forget(gone.press_id)
+            self._newest.pop(gone.press_id, None)
+            raise
+        names = {batch.key.press_id: batch.key.name for batch in batches}
+        for press_id, newest in there.items():
+            if (last := self._newest.get(press_id, -1)) > newest:
+                numbers = {"first": newest + 1, "last": last}
+                self._journal(
+                    "alarm", say("store-went-back", store=self._store.label, press=names[press_id], **numbers)
+                )
+                self._newest[press_id] = newest
+        for batch in batches:
+            last = max((scan.number for scan in batch.scans), default=-1)
+            self._newest[batch.key.press_id] = max(last, self._newest.get(batch.key.press_id, -1))
 
     def _acknowledge(self, items: Sequence[WriteBatch | Entry]) -> None:
         for item in items:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from sqlalchemy import Connection, and_, func, insert, select, text, update
+from sqlalchemy import Connection, and_, func, insert, select, text, true, update
 from sqlalchemy.exc import IntegrityError
 
 from daq.address import masked
@@ -24,6 +24,7 @@ from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.reading import has_run, run_row
 from daq.store.records import (
     NewRun,
+    PressGone,
     PressKey,
     RunChange,
     RunEnd,
@@ -156,6 +157,23 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
+def newest_of(connection: Connection, keys: Iterable[PressKey], store: str) -> dict[int, int]:
+    """Return the number of the newest scan the store has of each press, -1 without one.
+
+    Raises `PressGone` for a press it does not have under that number and name. `store` is for its message.
+    """
+    names = {key.press_id: key.name for key in keys}
+    if not names:
+        return {}
+    newest = select(func.max(SCAN.c.number)).where(SCAN.c.press_id == PRESS.c.press_id).scalar_subquery()
+    asked = select(PRESS.c.press_id, PRESS.c.name, newest.label("newest")).where(PRESS.c.press_id.in_(names))
+    rows = {int(row.press_id): row for row in connection.execute(asked)}
+    for press_id, name in names.items():
+        if press_id not in rows or rows[press_id].name != name:
+            raise PressGone(say("store-press-gone", store=store, press=name), press_id)
+    return {press_id: -1 if row.newest is None else int(row.newest) for press_id, row in rows.items()}
+
+
 def append(
     connection: Connection,
     key: PressKey,
@@ -222,6 +240,8 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
     name = _free_name(connection, new.run)
     if name != new.run:
         log(connection, "warning", PROCESS, say("run-renamed", run=new.run, name=name), key.name, None)
+    for run in interrupt_open_runs(connection, key.name, before=new.first_scan):
+        log(connection, "warning", PROCESS, say("run-interrupted", run=run), key.name, None)
     header = {**new.header, **take_next_panel(connection, key.name, noticed_unix_s), "run": name}
     _journal_doubts(connection, key, name, header)
     connection.execute(
@@ -369,18 +389,22 @@ def _append_event(connection: Connection, key: PressKey, event: PressEvent, numb
     )
 
 
-def interrupt_open_runs(connection: Connection, press: str) -> list[str]:
-    """Mark runs that a crash left open; their data stay. Returns their names."""
+def interrupt_open_runs(connection: Connection, press: str, before: int | None = None) -> list[str]:
+    """Mark runs that a crash, or an older state of the store, left open; their data stay. Returns their names.
+
+    `before` is the first scan that is not theirs; None: all are.
+    """
     is_open = (
         select(RUN.c.run, RUN.c.press_id, RUN.c.first_scan)
         .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
         .where(PRESS.c.name == press, RUN.c.status == RunStatus.OPEN.value)
     )
+    theirs = SCAN.c.number < before if before is not None else true()
     names = []
     for run, press_id, first_scan in connection.execute(is_open).all():
         last = connection.execute(
             select(SCAN.c.number, SCAN.c.unix_s)
-            .where(SCAN.c.press_id == press_id, SCAN.c.number >= first_scan)
+            .where(SCAN.c.press_id == press_id, SCAN.c.number >= first_scan, theirs)
             .order_by(SCAN.c.number.desc())
             .limit(1)
         ).first()

@@ -22,6 +22,14 @@ class NotAStore(StoreUnavailable):
     """The file is no store, or its first page is destroyed. The text says what to do."""
 
 
+class PressGone(StoreUnavailable):
+    """The store is another one than was written to before: it does not have the press. The text says so."""
+
+    def __init__(self, what: Message, press_id: int) -> None:
+        super().__init__(what)
+        self.press_id = press_id
+
+
 class ScansUnreadable(InputError):
     """What is stored of a run cannot be read any more. The text says of which, where, and what to do."""
 

@@ -4,6 +4,9 @@ A recorder that starts while the store is away (or while an older buffer is stil
 scans from 0 under a session of its own, a negative press number. When the session's first batch is due, the
 press is registered and the session's place is noted, durably and once; every batch is moved to that place,
 also by a later process that finds the session in the buffer. So a kill at any moment doubles and loses nothing.
+
+A press that the store does not have any more, since another store or an older one is in its place, gets a place
+there in the same way: its number in the old store is the session then.
 """
 
 from __future__ import annotations
@@ -46,10 +49,25 @@ class SessionPlacement:
     def __init__(self, store: Store, notes: Notes) -> None:
         self._store, self._notes = store, notes
         self._layouts: dict[tuple[int, tuple[Channel, ...]], int] = {}
+        self.press_files: dict[str, str] = {}
+        """By press, for one that has to be registered again."""
 
     def waits_for_place(self, batch: WriteBatch) -> bool:
         """Whether this is the first batch of a session: all before it must be written before it is placed."""
-        return batch.key.press_id < 0 and "press_id" not in self._note(batch.key)
+        return self._is_moved(batch.key) and "press_id" not in self._note(batch.key)
+
+    def forget(self, press_id: int) -> None:
+        """Have whatever belonged to a press that the store does not have any more placed again."""
+        sessions = [key for key, note in self._notes.items() if note.get("press_id") == press_id]
+        for session in sessions:
+            kept = {name: self._notes[session][name] for name in ("channels", "press_file")}
+            self._notes[session] = kept
+        if not sessions:
+            self._notes[press_id] = {"channels": None, "press_file": ""}
+        self._layouts = {known: number for known, number in self._layouts.items() if known[0] != press_id}
+
+    def _is_moved(self, key: PressKey) -> bool:
+        return key.press_id < 0 or key.press_id in self._notes
 
     def place(self, key: PressKey) -> SessionPlace:
         """Find a session's place in the store; noted before anything is written there."""
@@ -57,8 +75,9 @@ class SessionPlacement:
         if "press_id" in note:
             return SessionPlace(note["press_id"], note["shift"])
         interrupted = self._store.interrupt_open_runs(key.name)
-        channels = [Channel(*c) for c in note["channels"]]
-        registered = self._store.register_press(key.name, channels, note["press_file"])
+        channels = key.channels if note["channels"] is None else [Channel(*c) for c in note["channels"]]
+        press_file = note["press_file"] or self.press_files.get(key.name, "")
+        registered = self._store.register_press(key.name, channels, press_file)
         place = SessionPlace(registered.press_id, registered.next_number, tuple(interrupted))
         self._notes[key.press_id] = {**note, "press_id": place.press_id, "shift": place.shift}
         return place
@@ -71,9 +90,10 @@ class SessionPlacement:
     def moved(self, batch: WriteBatch) -> WriteBatch:
         """Return the batch as the store takes it."""
         key, shift = batch.key, 0
-        if key.press_id < 0:
+        if self._is_moved(key):
             place = self.place(key)
-            key, shift = replace(key, press_id=place.press_id), place.shift
+            layout = key.layout_id if key.press_id < 0 else 0
+            key, shift = replace(key, press_id=place.press_id, layout_id=layout), place.shift
         if key.layout_id == 0:
             key = replace(key, layout_id=self._layout(key))
         if key is batch.key:

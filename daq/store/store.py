@@ -12,7 +12,7 @@ from socket import gethostname
 from types import TracebackType
 from typing import Concatenate, ParamSpec, TypeVar
 
-from sqlalchemy import Connection, text
+from sqlalchemy import Connection
 
 from daq.address import Address
 from daq.records import Run
@@ -123,19 +123,25 @@ class Store:
     recipes = _reads(next_panel.recipes)
     next_panel = _reads(next_panel.next_panel)
 
-    def write_batches(self, batches: Sequence[WriteBatch], lines: Sequence[Entry] = ()) -> None:
-        """Write several batches of `append_scans` and journal lines in one commit."""
+    def write_batches(self, batches: Sequence[WriteBatch], lines: Sequence[Entry] = ()) -> dict[int, int]:
+        """Write several batches of `append_scans` and journal lines in one commit.
+
+        Returns by press what `recording.newest_of` gave before. Raises `PressGone` where another store is there.
+        """
         if not batches and not lines:
-            return
+            return {}
         with self.database.writing() as connection:
+            self.database.check_whole(connection)
+            newest = recording.newest_of(connection, (p.key for p in batches), self.label)
             for p in in_rows(batches):
                 recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
             journal.write_new(connection, lines)
+        return newest
 
     def try_to_write(self) -> None:
         """Raise what keeps anything from being written now."""
         with self.database.writing() as connection:
-            connection.execute(text("SELECT 1"))
+            self.database.check_whole(connection)
 
     def import_runs(self, runs: Sequence[Run], press: str, press_file: str = "") -> list[str]:
         """Store several runs, all or none; returns their names."""

@@ -77,7 +77,7 @@ def test_while_much_waits_to_be_written_the_recorder_gives_signs_of_life(tmp_pat
 
         def watched(batches, lines=()):
             alive.append("record" in store.statuses())
-            write(batches, lines)
+            return write(batches, lines)
 
         monkeypatch.setattr(store, "write_batches", watched)
         for item in () if buffered else much:
@@ -115,7 +115,7 @@ def test_a_writer_that_the_store_holds_up_for_longer_than_any_wait_does_not_coun
         def stuck(batches, lines=()):
             held.set()
             going_on.wait()
-            write(batches, lines)
+            return write(batches, lines)
 
         monkeypatch.setattr(store, "write_batches", stuck)
         outbox.put(Entry("info", "record", say("plain-text", text="hello")))

@@ -1,0 +1,158 @@
+"""Another state of the store under a running writer: emptied, restored, another one. Told, and nothing is lost."""
+
+import os
+import shutil
+
+import pytest
+from sqlalchemy import create_engine, text
+
+from daq.store import NewRun, RunEnd, RunStatus, open_store
+from daq.store import outbox as outbox_module
+from daq.store.outbox import Outbox
+from daq.store.write_batch import WriteBatch
+from tests.daq.test_store_outbox import BEGAN, CHANNELS, Notes, batch, numbers
+from tests.patience import wait_until
+
+PRESS_FILE = "[press]\nname = 'lab'\n"
+
+
+@pytest.fixture(autouse=True)
+def hasty(monkeypatch):
+    monkeypatch.setattr(outbox_module, "_FIRST_RETRY_S", 0.05)
+    monkeypatch.setattr(outbox_module, "_LONGEST_RETRY_S", 0.05)
+
+
+def server(url, *statements):
+    """Run statements as the server's administrator would, each at once."""
+    engine = create_engine(url, isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        for statement in statements:
+            connection.execute(text(statement))
+    engine.dispose()
+
+
+def empty(url):
+    server(url, "DROP SCHEMA public CASCADE", "CREATE SCHEMA public")
+
+
+def started(store, folder, buffered=True):
+    notes = Notes()
+    outbox = Outbox(
+        store,
+        buffer=folder / "b.sqlite" if buffered else None,
+        acknowledged=notes.note,
+        journal=notes.journal,
+    )
+    outbox.expect(CHANNELS, "lab", PRESS_FILE)
+    outbox.start()
+    return outbox, notes
+
+
+def pressing(key, first, last):
+    """Return the batches of a run over scans."""
+    made = [batch(key, n) for n in range(first, last + 1)]
+    begin, end = NewRun(f"lab-{first}", first, BEGAN, 1e2 + first / 10), RunEnd(f"lab-{first}", last, BEGAN)
+    made[0] = WriteBatch(key, made[0].scans, begin=begin)
+    return [*made, WriteBatch(key, end=end)]
+
+
+def told(notes):
+    return [words for level, words in notes.journalled if level == "alarm"]
+
+
+def test_while_a_server_s_database_is_restored_scans_and_runs_wait_and_none_is_set_aside(postgresql_url, tmp_path):
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path)
+        for n in range(10):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.written == 10 and outbox.waiting == 0)
+        empty(postgresql_url)
+        for one in pressing(key, 10, 19):
+            outbox.put(one)
+        wait_until(lambda: notes.acknowledged == list(range(20)))
+        assert outbox.behind
+        (away,) = told(notes)
+        assert "its tables are missing" in away
+        with open_store(postgresql_url) as restored:
+            again = restored.register_press("lab", CHANNELS)
+            assert (again.press_id, again.layout_id) == (key.press_id, key.layout_id)
+            begun = NewRun("lab-3", 3, BEGAN, 100.3)  # the backup is older: it does not have the end of this one
+            restored.append_scans(again, [batch(key, n).scans[0] for n in range(8)], begin=begun)
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert numbers(store) == [*range(8), *range(10, 20)]
+        assert store.load_run("lab-10").columns["top_1"].tolist() == [30.0 + n for n in range(10)]
+        left = store.run_record("lab-3")
+        assert (left.status, left.last_scan) == (RunStatus.INTERRUPTED, 7)
+        assert store.run_record("lab-10").status is RunStatus.CLOSED
+        assert any("scans 8 to 9 of press lab" in alarm for alarm in told(notes))
+    assert not list(tmp_path.glob("*set-aside*"))
+
+
+@pytest.mark.parametrize("buffered", [False, True], ids=["in memory", "in the buffer file"])
+def test_a_store_without_the_press_takes_it_again_and_recording_goes_on_there(postgresql_url, tmp_path, buffered):
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path, buffered)
+        for n in range(10):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.written == 10 and outbox.waiting == 0)
+        empty(postgresql_url)
+        with open_store(postgresql_url) as other:
+            hall = other.register_press("hall", CHANNELS)  # it has the number that lab had
+            assert hall.press_id == key.press_id
+        for one in pressing(key, 10, 19):
+            outbox.put(one)
+        wait_until(lambda: store.runs().items and outbox.waiting == 0)
+        outbox.close()
+        assert numbers(store) == list(range(10, 20))
+        assert store.newest_scan_number("hall") == -1
+        assert store.load_run("lab-10").columns["top_1"].tolist() == [30.0 + n for n in range(10)]
+        assert store.presses()["lab"] == PRESS_FILE
+        assert any("press lab is not in it any more" in alarm for alarm in told(notes))
+    assert not list(tmp_path.glob("*set-aside*"))
+
+
+def test_a_server_that_took_over_without_the_newest_scans_is_told_with_their_numbers(store_url, tmp_path):
+    with open_store(store_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path, buffered=False)
+        for n in range(30):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.written == 30 and outbox.waiting == 0)
+        server(store_url if "://" in store_url else f"sqlite:///{store_url}", "DELETE FROM scan WHERE number > 19")
+        for n in range(30, 40):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.written == 40)
+        outbox.close()
+        assert numbers(store) == [*range(20), *range(30, 40)]
+    (alarm,) = told(notes)
+    assert "scans 20 to 29 of press lab" in alarm
+
+
+def test_a_backup_put_in_the_place_of_an_emptied_file_is_gone_on_with(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path, buffered=False)
+        for n in range(10):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.written == 10 and outbox.waiting == 0)
+        with open_store(str(tmp_path / "backup.sqlite")) as backup:
+            again = backup.register_press("lab", CHANNELS)
+            backup.append_scans(again, [batch(again, n).scans[0] for n in range(8)])
+        os.truncate(path, 0)
+        for n in range(10, 20):
+            outbox.put(batch(key, n))
+        wait_until(lambda: told(notes))
+        assert outbox.written == 10
+        path.rename(tmp_path / "emptied")
+        shutil.copyfile(tmp_path / "backup.sqlite", path)
+        wait_until(lambda: outbox.written == 20)
+        outbox.close()
+        assert numbers(store) == [*range(8), *range(10, 20)]
+    assert any("recording goes on in what lies in its place now" in alarm for alarm in told(notes))
+    assert any("scans 8 to 9 of press lab" in alarm for alarm in told(notes))
+    assert not list(tmp_path.glob("*set-aside*"))
+    assert not list(tmp_path.glob("*found*"))
