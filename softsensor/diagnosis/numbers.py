@@ -76,14 +76,15 @@ class Errors:
             "predicted_core_rmse_K": self.predicted_core_rmse_K,
             "rmse_raw_K": self.rmse_raw_K,
         }
-        return {name: None if value is None else _short(value) for name, value in table.items()}
+        return {name: None if value is None else short(value) for name, value in table.items()}
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _short(value: float) -> float:
+def short(value: float) -> float:
+    """Return a number with as many digits as any answer needs."""
     return float(f"{value:.6g}")
 
 
@@ -104,7 +105,7 @@ def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
         sd = np.sqrt(max(covariance[i, i], robust[i, i]) + law**2)
         half = quantile * float(sd)
         low, high = max(value - half, p.lower), min(value + half, p.upper)
-        found[p.name] = Interval(_short(value), (_short(low), _short(high)))
+        found[p.name] = Interval(short(value), (short(low), short(high)))
     return found
 
 

@@ -19,6 +19,7 @@ from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
 from daq.words.message import catalogue_of, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
+from softsensor.diagnosis.causes import _alternatives
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import (
     ALPHA,
@@ -59,7 +60,8 @@ from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, run_errors, settle, settle_base
 from softsensor.diagnosis.sign_flips import MANY, Pocket, likelihood_p, max_t, pattern_test, sign_patterns
 from softsensor.diagnosis.summary import as_stored, core_messages, sureness, verdict_messages, worth
-from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, _screened, diagnose, never_seen
+from softsensor.diagnosis.unseen import never_seen
+from softsensor.diagnosis.verdict import _lacking_loads, _screened, diagnose
 from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN, find_effect
 from softsensor.fitting.one_run import fit_run
