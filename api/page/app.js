@@ -1,6 +1,6 @@
 // The page's frame: which view, which language, light or dark, and the one live connection all views share.
 import { again, follow, get } from "./api.js";
-import { listen } from "./bell.js";
+import { keepReady, listen } from "./bell.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
 import * as access from "./views/access.js";
@@ -173,5 +173,6 @@ show();
 connect();
 refreshHealth();
 again(refreshHealth, 5000);
+keepReady(document.getElementById("muted"));
 listen().catch(() => { /* the link state says it */ });
 again(listen, 5000, { hiddenToo: true });

@@ -2270,6 +2270,7 @@ page-alarm-platen-above = Heizplatte über
 page-alarm-platen-below = Heizplatte unter
 page-alarm-silence = Kein Messwert seit
 page-alarm-sound = Bei neuem Alarm einen Ton geben
+page-alarm-sound-waits = Der Ton ist eingeschaltet; der Browser spielt ihn erst nach einem Klick oder einer Taste auf dieser Seite.
 page-alarm-stands = steht an
 page-alarm-take = Quittieren
 page-alarm-take-this = Quittieren: { $what }

@@ -2257,6 +2257,7 @@ page-alarm-platen-above = Platen above
 page-alarm-platen-below = Platen below
 page-alarm-silence = No reading for
 page-alarm-sound = Sound when an alarm is new
+page-alarm-sound-waits = Sound is switched on; the browser plays none before a click or a key on this page.
 page-alarm-stands = stands
 page-alarm-take = Acknowledge
 page-alarm-take-this = Acknowledge: { $what }

@@ -659,6 +659,23 @@ def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
     context.close()
 
 
+@pytest.mark.parametrize("view", ["runs", "wall"])
+def test_a_page_opened_anew_says_that_its_sound_waits_for_a_click(served, view):
+    """A script that looks at a page counts as a click: the page itself must report what it shows."""
+    server, _, page = served
+    page.add_init_script("""
+        localStorage.setItem('kerntemp-alarm-sound', 'on');
+        setInterval(() => {
+            const muted = document.getElementById('muted');
+            if (muted?.checkVisibility()) console.log(`muted: ${muted.textContent}`);
+        }, 50);""")
+    with page.expect_console_message(lambda one: "muted: " in one.text) as said:
+        page.goto(f"{server.url}#/{view}")
+    assert "a click or a key" in said.value.text
+    page.mouse.click(300, 300)
+    expect(page.locator("#muted")).to_be_hidden()
+
+
 def test_a_core_nobody_updates_any_more_gives_way_to_the_reason(served):
     server, feed, page = served
     feed.pause_s = 0.01
