@@ -82,7 +82,7 @@ class _Demo:
         """When it was entered what panels the press lays in, None for its own."""
         self._given = self._taken = 0
         """How often the loggers were given panels, and how often they said from which pressing on."""
-        self._ended: dict[str, tuple[float, int]] = {}
+        self._ended: dict[str, float] = {}
         self.config = plan.folder / "kerntemp.toml"
         self._night: subprocess.Popen[str] | None = None
         """The nightly job, while it runs."""
@@ -247,14 +247,9 @@ class _Demo:
             return False
         if record.moments.closed_s != record.moments.closed_s:
             return True  # its closing was not seen: no fit will come
-        newest = self._fit_number(record.run)
-        since, before = self._ended.setdefault(record.run, (time.monotonic(), newest))
-        return newest > before or time.monotonic() - since > FIT_S
-
-    def _fit_number(self, run: str) -> int:
-        """Return the number of a run's newest fit, 0 without; one comes at opening, the last one at the end."""
-        recent = self.store.coefficient_history(limit=5).items
-        return max((c.fit_number for c in recent if c.run == run), default=0)
+        since = self._ended.setdefault(record.run, time.monotonic())
+        whole = "fingerprint" in (self.store.fit(record.run) or {})  # not the fit made when the press opened
+        return whole or time.monotonic() - since > FIT_S
 
     def _conclude(self, record: RunRecord) -> None:
         cycle = self._cycle(record, record.moments.closed_s)

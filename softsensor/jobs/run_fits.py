@@ -43,6 +43,15 @@ def write_journal(
     store.log(level, PROCESS, message, press, detail or None)
 
 
+@dataclass(frozen=True)
+class _UnderWay:
+    """A fit that is being made."""
+
+    future: Future[dict[str, Any]]
+    record: RunRecord
+    """The run as it stood when it was read."""
+
+
 @dataclass
 class RunFits:
     """Fits of one press's runs. A fit that the store refuses is kept until it takes it."""
@@ -52,7 +61,7 @@ class RunFits:
     """The press."""
     press: Press
     fitter: Fitter
-    _under_way: dict[str, Future[dict[str, Any]]] = field(default_factory=dict)
+    _under_way: dict[str, _UnderWay] = field(default_factory=dict)
     _due: set[str] = field(default_factory=set)
     _alarmed: set[tuple[str, str]] = field(default_factory=set)
     _unwatched: bool = False
@@ -86,9 +95,9 @@ class RunFits:
         if run in self._under_way:
             return
         with self._giving_up(run):
-            loaded = self.store.load_run(run)
+            record, loaded = self.store.run_record(run), self.store.load_run(run)
             if has_panel_readings(self.press, loaded):
-                self._under_way[run] = self.fitter.submit(self.press, loaded, model)
+                self._under_way[run] = _UnderWay(self.fitter.submit(self.press, loaded, model), record)
             elif self.store.run_record(run).status is not RunStatus.OPEN:
                 write_journal(self.store, "info", say("run-nothing-to-fit", run=run), self.name)
             self._due.discard(run)
@@ -97,7 +106,7 @@ class RunFits:
         """Store finished fits, made with a model's effects, and look at the control charts; return whether any."""
         stored = False
         self._journal_replaced()
-        for run in [run for run, future in self._under_way.items() if future.done()]:
+        for run in [run for run, fit in self._under_way.items() if fit.future.done()]:
             with self._giving_up(run):
                 stored = self._store(run, version, model) or stored
                 del self._under_way[run]  # now, not before: the store may refuse
@@ -109,14 +118,14 @@ class RunFits:
 
     def _store(self, run: str, version: str, model: ModelFile | None) -> bool:
         """Store a finished fit, or journal why there is none; return whether there is one."""
-        future = self._under_way[run]
+        future, record = self._under_way[run].future, self._under_way[run].record
         error = future.exception()
         if isinstance(error, BrokenProcessPool):
             write_journal(self.store, "alarm", say("run-fit-killed", run=run), self.name)
         elif error is not None:
             write_journal(self.store, "warning", say("run-not-fitted", run=run, why=spoken(error)), self.name)
         else:
-            self.store.put_fit(run, self._marked(run, future.result(), model), version)
+            self.store.put_fit(run, self._marked(record, future.result(), model), version)
             self._unwatched = True
         return error is None
 
@@ -144,10 +153,9 @@ class RunFits:
             write_journal(self.store, "warning", say("run-fit-again", run=run), self.name)
             self.fitter.replaced.discard(run)
 
-    def _marked(self, run: str, fit: dict[str, Any], model: ModelFile | None) -> dict[str, Any]:
-        """Return a fit of a whole run with what it rests on, so that the nightly job need not repeat it."""
-        record = self.store.run_record(run)
-        if record.status is RunStatus.OPEN or run in self._due:
+    def _marked(self, record: RunRecord, fit: dict[str, Any], model: ModelFile | None) -> dict[str, Any]:
+        """Return a fit of a run that was over with what it rests on: the nightly job need not repeat it."""
+        if record.status is RunStatus.OPEN or record.run in self._due:
             return fit
         return fit | {"fingerprint": fingerprint(record, self.press, model)}
 

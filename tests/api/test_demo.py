@@ -163,6 +163,19 @@ def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(
     assert demo.findings == ["lab-1", "lab-2"]
 
 
+def test_a_pressing_is_finished_with_the_fit_of_all_of_it_and_not_with_the_one_of_its_opening(store):
+    demo = _Demo(DemoPlan(pressings=2), SimpleNamespace(check=lambda: None), print)
+    demo.store = store
+    record = store.run_record("lab-2026-03-04-02")
+    kept = store.fit(record.run)
+    assert not demo._finished(record)
+    store.put_fit(record.run, kept | {"rmse_K": 0.1}, "1")  # of the opening, late
+    assert not demo._finished(record)
+    store.put_fit(record.run, kept | {"fingerprint": "all of it"}, "1")
+    assert demo._finished(record)
+    store.put_fit(record.run, kept, "1")
+
+
 def test_a_pressing_without_a_valid_core_says_that_it_is_not_known():
     blind = PressingCheck("lab-1", 100, 0.02, -0.03, 4.0, 0.4, float("nan"), float("nan"), float("nan"))
     assert str(blind.line).endswith("from 4.00 to 0.40 K, core not known")

@@ -194,6 +194,21 @@ def test_a_pressing_is_refitted_when_the_press_opens_not_only_when_the_panel_is_
     assert "fingerprint" not in store.fit(run)  # the night or the run's end looks at all of it
 
 
+def test_a_fit_of_the_opening_that_comes_once_the_run_is_over_is_not_taken_for_one_of_the_whole_run(
+    store, fitter, pressing
+):
+    recorder = Recorder(store, pressing[0])
+    sense = follower(store, fitter)
+    while (record := store.open_run("lab")) is None or not np.isfinite(record.moments.opened_s):
+        recorder.put(2)
+        drain(sense)
+    recorder.put(len(pressing[0].time_s))  # on a busy machine the sensor is behind
+    assert store.run_record(record.run).status is not RunStatus.OPEN
+    wait_until(lambda: sense.fits.collect("", None))
+    assert "fingerprint" not in store.fit(record.run)
+    fitted(store, sense, record.run)
+
+
 def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, pressing):
     header = dict(pressing[0].header) | {"setting.core_target_C": 40.0}
     recorder = Recorder(store, pressing[0], {k: v for k, v in header.items() if k != "run"})
