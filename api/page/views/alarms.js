@@ -3,10 +3,13 @@ import { announce } from "../announce.js";
 import { again, get, post, put } from "../api.js";
 import { wanted, want } from "../bell.js";
 import { clock, el, table, when, written } from "../dom.js";
-import { inWords, text } from "../words.js";
+import { inFieldWords, inWords, text } from "../words.js";
 
 const LIMITS = [["core_above_C", "page-alarm-core", "°C"], ["platen_above_C", "page-alarm-platen-above", "°C"], ["platen_below_C", "page-alarm-platen-below", "°C"],
   ["silence_s", "page-alarm-silence", "s"], ["drift_percent", "page-alarm-drift", "%"]];
+
+// What the limits are called where the server names them.
+const fieldNames = () => Object.fromEntries(LIMITS.map(([key, label]) => [`body.${key}`, text(label)]));
 
 export async function show(place, context) {
   const list = el("section", { class: "card", "data-testid": "alarms" });
@@ -78,7 +81,7 @@ function drawLimits(place, kept) {
     try {
       drawLimits(place, await put(`/alarms/thresholds/${encodeURIComponent(kept.press)}`, { ...Object.fromEntries(typed), verdict_unknown: unknown.checked }));
       announce(text("page-alarm-limits-kept"));
-    } catch (error) { refuse(message, error); }
+    } catch (error) { refuse(message, error, inFieldWords(error.coded, error.message, fieldNames())); }
     return null;
   });
   place.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-alarm-limits", { press: kept.press })),
@@ -87,7 +90,7 @@ function drawLimits(place, kept) {
   el("p", { class: "small faint" }, text("page-alarm-limits-hint")), message);
 }
 
-export function refuse(message, error) {
+export function refuse(message, error, words = error.message) {
   message.className = "small bad-text";
-  message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
+  message.replaceChildren(words, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
 }

@@ -3,6 +3,7 @@ import { announce } from "../announce.js";
 import { get, put } from "../api.js";
 import { clock, el, number, written } from "../dom.js";
 import { inFieldWords, text } from "../words.js";
+import { refuse } from "./alarms.js";
 
 export const VERDICTS = ["good", "blister", "undercured", "scrap"];
 const FIELDS = [["panel.material", "page-material", ""], ["panel.thickness_mm", "page-thickness", "mm"], ["panel.moisture_percent", "page-moisture", "%"],
@@ -105,10 +106,5 @@ export class PanelCards {
 
 // What the operator sees the header's keys called.
 const labels = () => Object.fromEntries(FIELDS.map(([key, label]) => [key, text(label)]));
-
-function refuse(message, error, words = error.message) {
-  message.className = "small bad-text";
-  message.replaceChildren(words, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
-}
 
 const meant = (key, typed) => (key !== "panel.material" && /^[+-]?\d+([.,]\d+)?$/.test(typed) ? Number(typed.replace(",", ".")) : typed);
