@@ -16,7 +16,15 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from daq.printed import in_notebook
 from daq.records import COLDEST_C, HOTTEST_C, KEYS_SHOWN, InputError, Run, matches
@@ -107,6 +115,17 @@ class PressTable(Table):
     pressure: Pressure | None = None
 
 
+LAYER_LIMITS: Mapping[str, tuple[float, float]] = {
+    "thickness_mm": (0.001, 10000.0),
+    "conductivity_W_mK": (0.005, 5000.0),
+    "density_kg_m3": (0.5, 25000.0),
+    "heat_capacity_J_kgK": (50.0, 15000.0),
+}
+"""What a layer can be: from a film of 1 µm to 10 m; from silica aerogel (0.013 W/mK) to diamond (3300), from air
+at 400 °C (0.52 kg/m³) to osmium (22590), from lead (129 J/kgK) to hydrogen (14300), each with room beside it (CRC
+Handbook of Chemistry and Physics, 97th ed.). Panels have narrower ones (`daq.press.header`)."""
+
+
 class Layer(Table):
     """``[[layer]]``, listed from bottom to top."""
 
@@ -124,6 +143,15 @@ class Layer(Table):
             temperatures = [row[0] for row in value]
             if not value or any(b <= a for a, b in itertools.pairwise(temperatures)):
                 raise ValueError(say("press-table-not-rising"))
+        return value
+
+    @field_validator(*LAYER_LIMITS)
+    @classmethod
+    def _of_matter(cls, value: Property | None, field: ValidationInfo) -> Property | None:
+        lower, upper = LAYER_LIMITS[str(field.field_name)]
+        for one in [y for _, y in value] if isinstance(value, tuple) else [value]:
+            if one is not None and not lower <= one <= upper:
+                raise ValueError(say("press-layer-outside", value=f"{one:g}", lower=lower, upper=upper))
         return value
 
     @model_validator(mode="after")

@@ -320,6 +320,7 @@ press-depth-outside = außerhalb der Schicht '{ $layer }', die { NUMBER($thickne
 press-guess-outside = guess = { NUMBER($guess) } liegt außerhalb von lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
 press-initial-needs = kind = "uniform" braucht temperature_C, oder eine Schicht mit from_run, deren Anfang dann gilt
 press-layer-needs = braucht { $keys } (oder from_run = true)
+press-layer-outside = { $value } hat kein Stoff; muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
 press-layer-surplus = from_run = true nimmt die Kennwerte aus der Pressung; { $keys } entfernen
 press-layer-twice = Schichten brauchen verschiedene Namen; { $names } kommt zweimal vor
 press-no-place = muss SCHICHT.bottom, SCHICHT.middle, SCHICHT.top oder {"{"} layer = SCHICHT, depth_mm = ... {"}"} sein
@@ -764,7 +765,6 @@ header-table-rows = Kopfschlüssel { $key } = { $value }: eine Tabelle hat Zeile
 header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
-layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
 live-sensor-of-press = Softsensor der Presse { $press }
 live-time-no-number = Abtastung um { $time }: ihre Zeit wird in Sekunden angegeben, als Zahl; bei einer Tabelle mit Zeitpunkten als Index die Sekunden seit deren erster Zeile
 live-time-not-rising = eine Messzeile bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einer bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen

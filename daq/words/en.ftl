@@ -320,6 +320,7 @@ press-depth-outside = outside layer '{ $layer }', which is { NUMBER($thickness_m
 press-guess-outside = guess = { NUMBER($guess) } lies outside lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
 press-initial-needs = kind = "uniform" needs temperature_C, or a layer with from_run, whose start it then is
 press-layer-needs = needs { $keys } (or from_run = true)
+press-layer-outside = { $value } is what no matter has; must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
 press-layer-surplus = from_run = true takes its constants from the run; remove { $keys }
 press-layer-twice = layer names must differ; { $names } occurs twice
 press-no-place = must be LAYER.bottom, LAYER.middle, LAYER.top or {"{"} layer = LAYER, depth_mm = ... {"}"}
@@ -764,7 +765,6 @@ header-table-rows = header key { $key } = { $value }: a table has rows of a temp
 header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness
-layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; correct the press file
 live-sensor-of-press = live sensor of press { $press }
 live-time-no-number = a scan at { $time }: its time is given in seconds, as a number; of a table indexed by instants give the seconds since its first row
 live-time-not-rising = a scan at { NUMBER($time_s, maximumFractionDigits: 3) } s after one at { NUMBER($newest_s, maximumFractionDigits: 3) } s: times must rise; begin a new LiveSensor for another run

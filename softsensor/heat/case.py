@@ -32,7 +32,7 @@ from softsensor.heat.mesh import Mesh, build_mesh
 from softsensor.heat.readout import Reader
 from softsensor.heat.run_checks import (
     boundary_series,
-    check_layers,
+    check_ambient,
     check_load,
     check_times,
     load_series,
@@ -212,7 +212,7 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     """
     press = press_for_run(press, run)
     check_times(press, run, moments)
-    check_layers(press, run)
+    check_ambient(run)
     panel = panel_of(run) if press.panel_layers else None
     mesh = _mesh(press, panel, paper=paper, fineness=fineness.cells)
     fine, coarse = fineness.switch_step_s / fineness.cells, fineness.max_step_s / fineness.cells

@@ -38,13 +38,6 @@ logger); the live sensor, which cannot know the next, holds the last reading as 
 
 MAX_GAP_S = 60.0
 """Missing rows are bridged up to this long; rows that lie further apart as a rule are not in seconds. [s]"""
-LIMITS = {
-    "thickness_mm": (0.001, 10000.0),
-    "conductivity_W_mK": (0.005, 5000.0),
-    "density_kg_m3": (0.5, 25000.0),
-    "heat_capacity_J_kgK": (50.0, 15000.0),
-}
-"""What a layer of the press file can be, from gases to diamond, lead and water; panels have narrower ones."""
 
 
 def check_times(press: Press, run: Run, moments: Moments) -> None:
@@ -76,19 +69,10 @@ def check_times(press: Press, run: Run, moments: Moments) -> None:
         raise InputError(say("run-ramp-impossible", run=where, value=f"{moments.ramp_s:g}"))
 
 
-def check_layers(press: Press, run: Run) -> None:
-    """Refuse properties of layers, and an ambient, that no matter has."""
-    where = run.source or run.name
-    for i, layer in enumerate(press.layer):
-        for key, (lower, upper) in LIMITS.items():
-            given = getattr(layer, key)
-            for value in [y for _, y in given] if isinstance(given, tuple) else [given]:
-                if value is not None and not lower <= value <= upper:
-                    place: dict[str, Argument] = {"number": i, "key": key, "layer": layer.name}
-                    place |= {"value": f"{value:g}", "lower": lower, "upper": upper}
-                    raise Nonphysical(say("layer-value-impossible", run=where, **place))
+def check_ambient(run: Run) -> None:
+    """Refuse an ambient that cannot be."""
     if not COLDEST_C < run.ambient_temperature < HOTTEST_C:
-        value = f"{run.ambient_temperature:g}"
+        where, value = run.source or run.name, f"{run.ambient_temperature:g}"
         raise Nonphysical(
             say("header-ambient-impossible", run=where, value=value, lower=COLDEST_C, upper=HOTTEST_C)
         )

@@ -113,6 +113,10 @@ def test_a_resin_for_a_press_without_a_panel_is_refused(folder):
             ('"panel.thickness_mm" = 16.0', '"coefficients.h_pp_c.guess" = nan'),
             r"press lab: header override: coefficients.h_pp_c.guess = nan: must be a finite number",
         ),
+        (
+            ('"panel.thickness_mm" = 16.0', '"layer.plate_top.thickness_mm" = 1e300'),
+            r"press lab: header override: layer.2.thickness_mm = 1e\+300: .* must be a number from 0.001 to 10000",
+        ),
     ],
 )
 def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, message):

@@ -44,6 +44,14 @@ def test_press_without_an_open_entry_has_one_state() -> None:
         ("x =", "not valid TOML"),
         (PANEL + "[press]\nnam = 'x'", r"press\.nam = 'x': unknown key"),
         (PLATE.replace("10.0", "-1.0"), r"layer\.0\.thickness_mm = -1\.0: .* greater than 0"),
+        (
+            PLATE.replace("10.0", "1e300"),
+            r"layer\.0\.thickness_mm = 1e\+300: .* must be a number from 0\.001 to 10000",
+        ),
+        (
+            PLATE.replace("45.0", "[[20.0, 1.0], [90.0, 1e9]]"),
+            r"layer\.0\.conductivity_W_mK: 1e\+09 is what no matter has; must be a number from 0\.005 to 5000",
+        ),
         (PLATE.replace("45.0", "[[20.0, 1.0], [20.0, 2.0]]"), "temperatures rising"),
         (PLATE.replace("45.0", "[[nan, 1.0], [20.0, 2.0]]"), r"conductivity_W_mK.*finite number"),
         (PLATE.replace("45.0", "[[-9999.0, 1.0], [20.0, 2.0]]"), r"conductivity_W_mK.*greater than -273"),
