@@ -136,8 +136,12 @@ def checked_number(key: str, value: object, place: object) -> float:
 
 
 def doubts(header: Mapping[str, Any]) -> tuple[Message, ...]:
-    """Return what is to be asked about a header that is taken: keys nobody knows, constants far from the table."""
-    return (*_unknown(header), *_far(header))
+    """Return what is to be asked about a header that is taken.
+
+    Keys nobody knows, a material of which a constant is nowhere, constants far from the table.
+    """
+    unlisted = _unlisted(header) if header.get("panel.material") is not None else ()
+    return (*_unknown(header), *unlisted, *_far(header))
 
 
 def is_number_key(key: str) -> bool:
@@ -208,10 +212,7 @@ def panel_of(run: Run) -> Panel:
 
 def check_material(header: Mapping[str, Any], place: object) -> None:
     """Refuse a material of which neither the table nor the header knows a constant. Raises InputError."""
-    material = str(header.get("panel.material", ""))
-    missing = [key for key in CONSTANTS if header.get(key) is None]
-    if missing and find_material(material) is None:
-        problem = say("header-material-unknown", material=material, known=tuple(MATERIALS), missing=tuple(missing))
+    for problem in _unlisted(header):
         raise InputError(at(place, problem))
 
 
@@ -246,6 +247,13 @@ def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:
         root, _, rest = base.partition(".")
         if base not in LIMITS and base not in _TEXTS and not (rest and root in _FREE):
             yield say("header-key-unknown", key=key)
+
+
+def _unlisted(header: Mapping[str, Any]) -> Iterator[Message]:
+    material = str(header.get("panel.material", ""))
+    missing = tuple(key for key in CONSTANTS if header.get(key) is None)
+    if missing and find_material(material) is None:
+        yield say("header-material-unknown", material=material, known=tuple(MATERIALS), missing=missing)
 
 
 def listed_constants(header: Mapping[str, Any]) -> dict[str, Constant]:

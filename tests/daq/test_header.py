@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.files.run_file import read_run, write_run
-from daq.press.header import check_header, doubts, panel_of
+from daq.press.header import CONSTANTS, check_header, doubts, panel_of
 from daq.press.press_file import parse_press, press_for_run, read_press
 from daq.process.config import load_config
 from daq.records import InputError, Run
@@ -129,7 +129,15 @@ def test_a_density_far_from_the_material_table_is_doubted_and_a_near_one_is_not(
         "check it"
     ]
     assert not doubts({"panel.material": "MDF", "panel.density_kg_m3": 650})
-    assert not doubts({"panel.material": "cork", "panel.density_kg_m3": 400})
+    cork = {"panel.material": "cork", **dict.fromkeys(CONSTANTS, 400.0)}
+    assert not doubts(cork)
+    assert not doubts({"panel.thickness_mm": 16.0})
+
+
+def test_a_material_that_nothing_knows_is_doubted_with_what_is_missing_of_it():
+    (doubt,) = doubts({"panel.material": "MFD", "panel.density_kg_m3": 740.0})
+    assert "material 'MFD' is not in the table" in str(doubt)
+    assert "panel.conductivity_W_mK, panel.heat_capacity_J_kgK is given nowhere" in str(doubt)
 
 
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), "small", True])
