@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from daq.address import Address
     from daq.process.config import Config, ServerSettings
     from daq.store.store import Store
-    from softsensor.jobs.night_judgement import NightOutcome
+    from softsensor.jobs.night_basis import NightOutcome
     from softsensor.jobs.retention import Rules
 
 Host = Annotated[str | None, typer.Option("--host", metavar="ADDRESS", help="help-host")]
@@ -167,7 +167,7 @@ def _rules(settings: Config) -> Rules | None:
 def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:
     """Show a press's night and write its page; return what went wrong, in this and in its fits."""
     from softsensor.jobs.night import reason_of
-    from softsensor.jobs.night_judgement import FAILED
+    from softsensor.jobs.night_basis import FAILED
     from softsensor.jobs.night_record import night_record
     from softsensor.jobs.run_reader import PROCESS
     from softsensor.report.night_report import write_report

@@ -27,16 +27,9 @@ from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint, standing_fits
+from softsensor.jobs.night_basis import FAILED, FEWEST_RUNS, NightBasis, NightOutcome
 from softsensor.jobs.night_fits import Done, FitTask, fit_all
-from softsensor.jobs.night_judgement import (
-    DIAGNOSED_RUNS,
-    FAILED,
-    FEWEST_RUNS,
-    JUDGES,
-    NightBasis,
-    NightOutcome,
-    judge_night,
-)
+from softsensor.jobs.night_judgement import DIAGNOSED_RUNS, JUDGES, judge_night
 from softsensor.jobs.night_progress import Agenda, agenda_of
 from softsensor.jobs.night_sure import settled
 from softsensor.jobs.retention import OldScans

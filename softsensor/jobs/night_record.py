@@ -10,7 +10,7 @@ from typing import Any
 
 from daq.store import JournalEntry, ModelRecord, RunRecord, Store, StoredNight, every
 from daq.words import Message
-from softsensor.jobs.night_judgement import NightOutcome
+from softsensor.jobs.night_basis import NightOutcome
 
 # Numbers without another source were set by hand, 2026-11.
 

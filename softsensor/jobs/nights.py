@@ -23,7 +23,7 @@ from daq.store import Store, open_store
 from daq.words import Message, say
 from softsensor.jobs.cluster import NoWorkers, handed_out
 from softsensor.jobs.night import failed_night, reason_of, refit_press
-from softsensor.jobs.night_judgement import NightOutcome
+from softsensor.jobs.night_basis import NightOutcome
 from softsensor.jobs.retention import OldScans, Rules, keep_house
 from softsensor.jobs.run_reader import PROCESS
 from softsensor.jobs.sisters import begin_with_sisters

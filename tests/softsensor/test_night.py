@@ -31,6 +31,7 @@ from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.heat.model_reading import parse_model
 from softsensor.jobs import cluster as cluster_of_workers
 from softsensor.jobs import night as nightly
+from softsensor.jobs import night_comparison
 from softsensor.jobs import night_fits as nightly_fits
 from softsensor.jobs import night_judgement as nightly_judge
 from softsensor.jobs import night_progress as progress
@@ -38,8 +39,9 @@ from softsensor.jobs import nights as fleet
 from softsensor.jobs.cluster import WorkersLost, on_dask
 from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
+from softsensor.jobs.night_basis import FAILED, NightBasis
+from softsensor.jobs.night_comparison import surely_less
 from softsensor.jobs.night_fits import Done, FitTask, fit_all, fit_stored
-from softsensor.jobs.night_judgement import surely_less
 from softsensor.jobs.night_record import night_record, stored_night_record
 from softsensor.jobs.nights import refit_presses
 from softsensor.jobs.retention import OldScans, Rules, keep_house
@@ -182,7 +184,7 @@ def test_a_run_that_cannot_be_read_is_left_out_with_an_alarm_and_the_night_goes_
     judged = fitted and kind != "its header"  # whose fit does not stand, for nobody knows of which panel it is
     if judged:
         assert outcome.unread == (why,)
-    assert outcome.verdict != nightly_judge.FAILED
+    assert outcome.verdict != FAILED
     alarms = [e.message.code for e in store.journal(press="lab", level="alarm").items]
     assert alarms == ["run-not-judged" if judged else "run-not-fitted"]
     (night,) = store.nights(press="lab", limit=1).items
@@ -430,8 +432,8 @@ def test_a_model_somebody_has_gone_back_from_is_not_promoted_again_at_night(stor
     monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, rim, []))
     monkeypatch.setattr(
         nightly_judge,
-        "_compare",
-        lambda *_, **__: nightly_judge._Comparison(say("plain-text", text="better"), True, {}),
+        "compare",
+        lambda *_, **__: night_comparison.Comparison(say("plain-text", text="better"), True, {}),
     )
     monkeypatch.setattr(nightly_judge, "_fits_with", lambda *_: {})
     roll_back(store, "lab")
@@ -461,9 +463,9 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     assert model["basis"]["rmse_still_K"]["after"] < 1.02 * model["basis"]["rmse_still_K"]["before"]
 
     fits = {run.name: {"rmse_K": 0.3} for run in runs}
-    night = nightly_judge.NightBasis(store, "lab", PRESS, rim, [], fits)
+    night = NightBasis(store, "lab", PRESS, rim, [], fits)
     worse = {name: {"rmse_K": 0.3 + 0.1 * i} for i, name in enumerate(fits, 1)}
-    kept = nightly_judge._compare(night, report, plain, worse, apart=True, fewer=("edge_loss",))
+    kept = night_comparison.compare(night, report, plain, worse, apart=True, fewer=("edge_loss",))
     assert not kept.better
     assert str(kept.reason).endswith("; an effect it would drop still improves the fit")
 
@@ -471,19 +473,19 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
 @pytest.mark.parametrize(
     ("core", "says"),
     [
-        (nightly_judge._Core(0.5, float("nan"), True), "the core is valid in fewer scans"),
-        (nightly_judge._Core(0.5, float("nan"), False), "the core gets worse"),
-        (nightly_judge._Core(0.5, 0.6, False), "the core gets worse"),
-        (nightly_judge._Core(0.5, 0.3, False), "core from 0.50 to 0.30 K live"),
+        (night_comparison._Core(0.5, float("nan"), True), "the core is valid in fewer scans"),
+        (night_comparison._Core(0.5, float("nan"), False), "the core gets worse"),
+        (night_comparison._Core(0.5, 0.6, False), "the core gets worse"),
+        (night_comparison._Core(0.5, 0.3, False), "core from 0.50 to 0.30 K live"),
     ],
 )
 def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
     rim = ModelFile("lab-2", "lab", {}, (("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),))
-    monkeypatch.setattr(nightly_judge, "_core_rmse", lambda *_: core)
-    monkeypatch.setattr(nightly_judge, "_predictions", lambda *_, **__: None)
+    monkeypatch.setattr(night_comparison, "_core_rmse", lambda *_: core)
+    monkeypatch.setattr(night_comparison, "_predictions", lambda *_, **__: None)
     before, after = ({f"run-{i}": {"rmse_K": rmse} for i in range(6)} for rmse in (0.4, 0.3))
-    night = nightly_judge.NightBasis(None, "lab", PRESS, None, [], before)
-    found = nightly_judge._compare(night, {}, rim, after, apart=True)
+    night = NightBasis(None, "lab", PRESS, None, [], before)
+    found = night_comparison.compare(night, {}, rim, after, apart=True)
     assert str(found.reason).endswith(says)
     assert found.better is (core.after_K < core.before_K)
 
@@ -491,12 +493,12 @@ def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
 def test_what_moves_with_the_press_does_not_promote_a_model(monkeypatch):
     """A row amid the closing weighs more than the rest of a run; older fits know of no other number."""
     rim = ModelFile("lab-2", "lab", {}, (("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),))
-    monkeypatch.setattr(nightly_judge, "_core_rmse", lambda *_: None)
-    monkeypatch.setattr(nightly_judge, "_predictions", lambda *_, **__: None)
+    monkeypatch.setattr(night_comparison, "_core_rmse", lambda *_: None)
+    monkeypatch.setattr(night_comparison, "_predictions", lambda *_, **__: None)
 
     def found(before, after):
-        night = nightly_judge.NightBasis(None, "lab", PRESS, None, [], {f"run-{i}": before for i in range(6)})
-        return nightly_judge._compare(night, {}, rim, dict.fromkeys(night.fits, after), apart=True)
+        night = NightBasis(None, "lab", PRESS, None, [], {f"run-{i}": before for i in range(6)})
+        return night_comparison.compare(night, {}, rim, dict.fromkeys(night.fits, after), apart=True)
 
     moved = found({"rmse_K": 2.0, "rmse_still_K": 0.3}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
     assert not moved.better
@@ -520,8 +522,8 @@ def test_what_moves_with_the_press_does_not_promote_a_model(monkeypatch):
 def test_predictions_decide_what_is_promoted(ahead, residual_after, against):
     """A veto where runs are predicted worse, enough where they are surely predicted better."""
     before, after = (np.array([k + 0.01 * i for i in range(6)]) for k in (0.4, residual_after))
-    seen = nightly_judge._Predictions(*ahead)
-    assert nightly_judge._against(before, after, seen, None, fewer=False) == against
+    seen = night_comparison._Predictions(*ahead)
+    assert night_comparison._against(before, after, seen, None, fewer=False) == against
 
 
 def test_a_gain_that_only_some_runs_have_is_not_promoted():
@@ -529,24 +531,24 @@ def test_a_gain_that_only_some_runs_have_is_not_promoted():
     before = np.full(6, 0.4)
     scattered, alike = np.array([0.2, 0.6, 0.3, 0.55, 0.2, 0.31]), np.full(6, 0.36)
     assert scattered.mean() == pytest.approx(alike.mean())
-    assert nightly_judge._against(before, scattered, None, None, fewer=False) == "not-significant"
-    assert nightly_judge._against(before, alike, None, None, fewer=False) is None
+    assert night_comparison._against(before, scattered, None, None, fewer=False) == "not-significant"
+    assert night_comparison._against(before, alike, None, None, fewer=False) is None
 
 
 def test_a_run_is_predicted_from_platens_and_header_alone(store, runs):
     """Panel sensors moved by 3 K move nothing of the prediction, so its error grows by what they are off."""
     table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
-    night = nightly_judge.NightBasis(store, "lab", PRESS, None, [], {})
+    night = NightBasis(store, "lab", PRESS, None, [], {})
     run, model = runs[0], ModelFile("lab-1", "lab", table)
-    out = nightly_judge.simulate_run(run, PRESS, model.model(PRESS), model.values)
-    inside = out.time_s >= nightly_judge.moments_of(run, PRESS).inserted_s
+    out = night_comparison.simulate_run(run, PRESS, model.model(PRESS), model.values)
+    inside = out.time_s >= night_comparison.moments_of(run, PRESS).inserted_s
     rest = np.concatenate([(out.measured[p] - v)[inside] for p, v in out.places.items()])
     rest = rest[np.isfinite(rest)]
-    assert nightly_judge._prediction_errors(night, run, [model])[0] == pytest.approx(np.sqrt(np.mean(rest**2)))
+    assert night_comparison._prediction_errors(night, run, [model])[0] == pytest.approx(np.sqrt(np.mean(rest**2)))
     panel = [c for c in run.columns if c.startswith(("top_", "bottom_"))]
     moved = replace(run, columns={c: v + 3.0 * (c in panel) for c, v in run.columns.items()})
     expected = np.sqrt(np.mean((rest + 3.0) ** 2))
-    assert nightly_judge._prediction_errors(night, moved, [model])[0] == pytest.approx(expected, rel=0.02)
+    assert night_comparison._prediction_errors(night, moved, [model])[0] == pytest.approx(expected, rel=0.02)
 
 
 def test_judging_runs_that_took_part_are_judged_by_what_the_others_predicted(store):
@@ -555,12 +557,12 @@ def test_judging_runs_that_took_part_are_judged_by_what_the_others_predicted(sto
         "extended": {"predicted_rmse_K": 2.5},
         "predicted_gain_ci95": [0.1, 0.9],
     }
-    night = nightly_judge.NightBasis(store, "lab", PRESS, None, [], {})
-    found = nightly_judge._predictions(night, report, ModelFile("", "lab", {}), ["run-1"], apart=False)
-    assert found == nightly_judge._Predictions(3.0, 2.5, True)
+    night = NightBasis(store, "lab", PRESS, None, [], {})
+    found = night_comparison._predictions(night, report, ModelFile("", "lab", {}), ["run-1"], apart=False)
+    assert found == night_comparison._Predictions(3.0, 2.5, True)
     unsure = {**report, "predicted_gain_ci95": [-0.1, 0.9]}
-    found = nightly_judge._predictions(night, unsure, ModelFile("", "lab", {}), ["run-1"], apart=False)
-    assert found == nightly_judge._Predictions(3.0, 2.5, False)
+    found = night_comparison._predictions(night, unsure, ModelFile("", "lab", {}), ["run-1"], apart=False)
+    assert found == night_comparison._Predictions(3.0, 2.5, False)
 
 
 def test_a_promotion_alone_asks_no_second_diagnosis(store, runs, monkeypatch):
@@ -576,8 +578,8 @@ def test_a_promotion_alone_asks_no_second_diagnosis(store, runs, monkeypatch):
     monkeypatch.setattr(nightly_judge, "_diagnose", diagnose)
     monkeypatch.setattr(
         nightly_judge,
-        "_compare",
-        lambda *_, **__: nightly_judge._Comparison(say("plain-text", text="better"), True, {}),
+        "compare",
+        lambda *_, **__: night_comparison.Comparison(say("plain-text", text="better"), True, {}),
     )
     monkeypatch.setattr(nightly_judge, "_fits_with", lambda *_: {})
     nights = []

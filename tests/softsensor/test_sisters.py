@@ -16,7 +16,7 @@ from daq.simulated.physics_pressing import Plates
 from daq.store import open_store
 from softsensor.heat.model_file import FittedValue, ModelFile, Sisters, SisterScatter
 from softsensor.heat.model_reading import parse_model
-from softsensor.jobs import night_judgement
+from softsensor.jobs import night_comparison, night_judgement
 from softsensor.jobs.live_service import Follower
 from softsensor.jobs.model_in_force import fingerprint, up_to_date
 from softsensor.jobs.nights import refit_presses
@@ -161,7 +161,7 @@ def test_the_same_effects_found_by_its_own_runs_take_the_place_of_its_sisters_mo
     own = replace(rim, effects=(("edge_loss", {"W_m3K": FittedValue(1100.0, 50.0)}),), sisters=None)
     monkeypatch.setattr(night_judgement, "_diagnose", lambda night, asked: (report, own, []))
     monkeypatch.setattr(night_judgement, "_fits_with", lambda night, candidate, runs: {r: fits[r] for r in runs})
-    monkeypatch.setattr(night_judgement, "_core_rmse", lambda *_: None)
+    monkeypatch.setattr(night_comparison, "_core_rmse", lambda *_: None)
     night = night_judgement.NightBasis(store, "d", PRESS, rim, records, fits)
     outcome = night_judgement.judge_night(night, night_judgement.NightOutcome("d", 6, 0, 0, "d-model"))
     assert outcome.promoted is promoted

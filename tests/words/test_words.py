@@ -20,7 +20,7 @@ from daq.tables import SYSTEM_FAULTS, reason_of
 from daq.words import Message, say, spoken
 from daq.words.message import catalogue_of, languages, words
 from softsensor.diagnosis.decision import Verdict
-from softsensor.jobs.night_judgement import NOT_ASKED
+from softsensor.jobs.night_basis import NOT_ASKED
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("daq", "softsensor", "api")
