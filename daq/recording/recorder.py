@@ -36,6 +36,8 @@ buffer damaged or gone         ``buffer ... is damaged (...): set aside as ...; 
                                are lost; recording goes on`` (alarm)
 entry no store takes           ``the store does not take ...; set aside in ....set-aside.jsonl, everything else is
                                written`` (alarm)
+server takes no changes        ``store ...: cannot execute INSERT in a read-only transaction; ...``
+                               (alarm), scans wait; also without permission or a table; back-filled then
 store restored meanwhile       ``store ...: its tables are missing or not all there, as while a backup is being
                                restored; ...; scans wait in ...`` (alarm), back-filled when they are there again
 store on an older state        ``store ...: it has gone back to an older state, ...; scans N to M of press lab,

@@ -238,6 +238,8 @@ class Database:
             self._refuse_own_view(error)
             if isinstance(error, sqlite3.DatabaseError):
                 raise StoreUnavailable(_advice(self, reason)) from error
+            if getattr(error.orig, "sqlstate", None) in _TAKES_NOTHING:
+                raise StoreUnavailable(_advice(self, reason)) from error
             if is_torn(error):
                 remedy = None if self.path else "store-remedy-server-damaged"
                 raise StoreUnavailable(_advice(self, reason, remedy)) from error
@@ -433,6 +435,9 @@ def _switch_to_wal(engine: Engine, busy_s: float) -> None:
             raw.close()
 
 
+_TAKES_NOTHING = {"25006", "42501", "42P01", "42703"}
+"""A server's refusals that do not lie in what is written: it is read-only, as a standby is, the user may not, a
+table or column is missing. https://www.postgresql.org/docs/15/errcodes-appendix.html"""
 _REMEDIES = {
     "lock timeout": "store-remedy-lock-timeout",
     "database is locked": "store-remedy-locked",
@@ -440,6 +445,9 @@ _REMEDIES = {
     "readonly database": "store-remedy-read-only",
     "unable to open": "store-remedy-folder",
     "disk I/O error": "store-remedy-disk-failed",
+    "read-only transaction": "store-remedy-server-read-only",
+    "permission denied": "store-remedy-server-permission",
+    'relation "': "store-remedy-server-tables",
     "malformed": "store-remedy-damaged",
     "not a database": "store-remedy-damaged",
     "no such table": "store-remedy-damaged",

@@ -2,10 +2,12 @@
 
 import os
 import shutil
+from dataclasses import replace
 
 import pytest
 from sqlalchemy import create_engine, text
 
+from daq.records import EventSource, PressEvent, PressEventKind
 from daq.store import NewRun, RunEnd, RunStatus, open_store
 from daq.store import outbox as outbox_module
 from daq.store.outbox import Outbox
@@ -112,6 +114,50 @@ def test_a_store_without_the_press_takes_it_again_and_recording_goes_on_there(po
         assert store.presses()["lab"] == PRESS_FILE
         assert any("press lab is not in it any more" in alarm for alarm in told(notes))
     assert not list(tmp_path.glob("*set-aside*"))
+
+
+@pytest.mark.parametrize(
+    ("refusing", "taking", "words"),
+    [
+        ("ALTER DATABASE {name} SET default_transaction_read_only = on", "RESET", "as a standby does"),
+        (
+            "ALTER TABLE press_event RENAME TO elsewhere",
+            "ALTER TABLE elsewhere RENAME TO press_event",
+            "is missing",
+        ),
+    ],
+    ids=["read-only", "without a table"],
+)
+def test_a_server_that_refuses_whatever_it_is_given_has_all_of_it_wait(
+    postgresql_url, tmp_path, refusing, taking, words
+):
+    name = postgresql_url.rpartition("/")[2]
+    others = f"datname = '{name}' AND pid <> pg_backend_pid()"
+    anew = f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
+    if taking == "RESET":
+        taking = (
+            f"SET default_transaction_read_only = off; ALTER DATABASE {name} RESET default_transaction_read_only"
+        )
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path)
+        outbox.put(batch(key, 0))
+        wait_until(lambda: outbox.written == 1 and outbox.waiting == 0)
+        server(postgresql_url, refusing.format(name=name), anew)
+        outbox.beat("record", {"x": 1})
+        moved = PressEvent(PressEventKind.CLOSED, 101.0, 101.5, EventSource.TEMPERATURES)
+        for one in pressing(key, 1, 9):
+            outbox.put(replace(one, events=(moved,)) if one.begin else one)
+        wait_until(lambda: any(words in alarm for alarm in told(notes)))
+        wait_until(lambda: notes.acknowledged == list(range(10)))
+        server(postgresql_url, *taking.split("; "), anew)
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert numbers(store) == list(range(10))
+        assert store.load_run("lab-1").columns["top_1"].tolist() == [21.0 + n for n in range(9)]
+        assert len(store.press_events("lab")) == 1
+    assert not list(tmp_path.glob("*set-aside*"))
+    assert not any("report it" in alarm for alarm in told(notes))
 
 
 def test_a_server_that_took_over_without_the_newest_scans_is_told_with_their_numbers(store_url, tmp_path):
