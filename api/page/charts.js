@@ -160,6 +160,21 @@ export class TimeChart {
     });
   }
 
+  // Phases wide enough for their name: {label, from, width}, in pixels of the canvas.
+  namedPhases(plot) {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.font = `${11 * this.larger * devicePixelRatio}px system-ui, sans-serif`;
+    const named = this.phases.filter(({ state }) => state !== "idle").map((phase) => {
+      const label = text(`page-state-${phase.state}`);
+      const from = Math.max(plot.valToPos(phase.from_s, "x", true), bbox.left);
+      const to = phase.to_s === null ? bbox.left + bbox.width : plot.valToPos(phase.to_s, "x", true);
+      return { label, from, to, width: ctx.measureText(label).width };
+    });
+    ctx.restore();
+    return named.filter(({ from, to, width }) => to - from >= width + 12 * devicePixelRatio);
+  }
+
   // Above grid and curves, on a patch of the card's colour.
   name(plot) {
     const { ctx, bbox } = plot;
@@ -168,12 +183,7 @@ export class TimeChart {
     ctx.font = `${size}px system-ui, sans-serif`;
     ctx.textAlign = "left";
     ctx.textBaseline = "top";
-    for (const phase of this.phases) {
-      const from = Math.max(plot.valToPos(phase.from_s, "x", true), bbox.left);
-      const to = phase.to_s === null ? bbox.left + bbox.width : plot.valToPos(phase.to_s, "x", true);
-      const label = text(`page-state-${phase.state}`);
-      const width = ctx.measureText(label).width;
-      if (phase.state === "idle" || to - from < width + 12 * devicePixelRatio) continue;
+    for (const { label, from, width } of this.namedPhases(plot)) {
       ctx.fillStyle = style("--card");
       ctx.fillRect(from + 3 * devicePixelRatio, bbox.top + 2 * devicePixelRatio, width + 6 * devicePixelRatio, size + 4 * devicePixelRatio);
       ctx.fillStyle = style("--faint");

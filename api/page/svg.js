@@ -13,7 +13,7 @@ export function svgOf(chart, gap) {
   const x = (value) => round(left + plot.valToPos(value, "x"));
   const y = (value) => round(top + plot.valToPos(value, "y"));
   const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap, top, height })),
-    ...chart.marks.map((one) => mark(one, x, y, { left, top, width, height }))].join("");
+    ...chart.namedPhases(plot).map((phase) => nameOf(phase, 11 * chart.larger, top)), ...chart.marks.map((one) => mark(one, x, y, { left, top, width, height }))].join("");
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${plot.height}" viewBox="0 0 ${plot.width} ${plot.height}" font-family="system-ui, sans-serif" font-size="12">`
     + `<title>${safe(chart.label)}</title><rect width="100%" height="100%" fill="${style("--card")}"/>`
     + `<clipPath id="plot"><rect x="${left}" y="${top}" width="${width}" height="${height}"/></clipPath>`
@@ -37,6 +37,12 @@ function shade(phase, x, { left, top, width, height }) {
   const from = x(phase.from_s);
   const to = phase.to_s === null ? left + width : x(phase.to_s);
   return `<rect x="${from}" y="${top}" width="${Math.max(to - from, 0)}" height="${height}" fill="${style(phase.state === "closed" ? "--phase-closed" : "--phase-open")}"/>`;
+}
+
+function nameOf({ label, ...pixels }, size, top) {
+  const [from, width] = [pixels.from, pixels.width].map((v) => v / devicePixelRatio);
+  return `<rect x="${round(from + 3)}" y="${top + 2}" width="${round(width + 6)}" height="${round(size + 4)}" fill="${style("--card")}"/>`
+    + `<text x="${round(from + 6)}" y="${round(top + 3 + size)}" font-size="${round(size)}" fill="${style("--faint")}">${safe(label)}</text>`;
 }
 
 function curve(chart, s, i, { x, y, gap, top, height }) {

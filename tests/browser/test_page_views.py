@@ -252,6 +252,18 @@ def test_the_numbers_behind_a_chart_are_reached_by_key_and_taken_as_csv_and_pict
     page.screenshot(path=tmp_path / "keep.png")
 
 
+def test_a_chart_taken_as_svg_names_the_phases_as_the_page_does(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs/lab-0000000")
+    drawer = page.locator("details.keep").first
+    drawer.locator("summary").click()
+    with page.expect_download() as taken:
+        drawer.get_by_role("button", name="SVG").click()
+    drawn = ElementTree.parse(taken.value.path()).getroot()
+    named = [t.text for t in drawn.iter("{http://www.w3.org/2000/svg}text")]
+    assert [name for name in named if name in ("open", "closed")] == ["open", "closed", "open"]
+
+
 def test_a_model_version_is_rolled_back_by_hand(plant):
     address, page, token = plant
     with_token(page, token)
@@ -1282,6 +1294,9 @@ def test_a_runs_page_asks_what_if_only_when_that_is_unfolded(plant, browser):
     expect(card.locator("table").first).to_contain_text("Wie es war, simuliert")  # live it was another number
     assert asked == [f"{address}api/v1/runs/campaign-1/what-if{q}" for q in ("", "?platen_temperature_C=170.5")]
     page.wait_for_function("document.documentElement.scrollWidth <= 375")
+    card.locator("#what-if-platen_temperature_C").fill("-3")
+    card.locator("form button").click()
+    expect(card.get_by_role("alert")).to_have_text("Heizplatten [°C]: muss mindestens 60 sein")
     page.context.close()
 
 

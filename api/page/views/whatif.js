@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { TimeChart, key, straight } from "../charts.js";
 import { el, number, table, written } from "../dom.js";
-import { text } from "../words.js";
+import { inFieldWords, text } from "../words.js";
 
 export function whatIfCard(path) {
   const body = el("div", {}, el("p", { class: "faint" }, text("page-simulating")));
@@ -23,6 +23,7 @@ export function whatIfCard(path) {
 function form(path, was) {
   const inputs = Object.entries(was.settings).map(([name, { was: value }]) => [name, el("input", { type: "text", inputmode: "decimal", autocomplete: "off", value: written(Number(value.toPrecision(4))), id: `what-if-${name}` })]);
   const untouched = Object.fromEntries(inputs.map(([name, input]) => [name, input.value]));
+  const names = Object.fromEntries(inputs.map(([name]) => [`query.${name}`, text(`page-what-if-${name}`)]));
   const shown = el("div", { role: "status" });
   const node = el("form", { class: "touch-form" }, inputs.map(([name, input]) => el("label", { for: input.id }, text(`page-what-if-${name}`), input)), el("button", { class: "button primary" }, text("page-what-if-ask")));
   node.addEventListener("submit", async (event) => {
@@ -30,7 +31,7 @@ function form(path, was) {
     const changed = inputs.filter(([name, input]) => input.value.trim() && input.value !== untouched[name]);
     try {
       show(shown, was, await get(`${path}/what-if`, Object.fromEntries(changed.map(([name, input]) => [name, input.value.trim().replace(",", ".")]))));
-    } catch (error) { shown.replaceChildren(el("p", { class: "small bad-text", role: "alert" }, error.message)); }
+    } catch (error) { shown.replaceChildren(el("p", { class: "small bad-text", role: "alert" }, inFieldWords(error.coded, error.message, names))); }
   });
   return [el("p", { class: "small faint" }, text("page-what-if-hint")), node, shown];
 }
