@@ -227,10 +227,18 @@ _WRAPPED = ("function-", "constrained-", "tuple[")
 """What pydantic puts among keys for a value that may be of several kinds: no key of anybody's file."""
 
 
+_SECRETIVE = frozenset({"url", "password_file", "address_file"})
+"""Keys of tables in which a text under a key that nothing knows may be a password: no refusal shows it."""
+
+
 def _fault(item: Any, model: type[BaseModel]) -> Message:
     loc = [str(p) for p in item["loc"] if p not in _BRANCHES and not str(p).startswith(_WRAPPED)]
     key, value, kind = ".".join(loc), item.get("input"), item["type"]
-    why = unknown_key(loc[-1], fields_at(model, loc[:-1])) if kind == "extra_forbidden" else why_of(item)
+    unknown = kind == "extra_forbidden"
+    known = fields_at(model, loc[:-1]) if unknown else ()
+    why = unknown_key(loc[-1], known) if unknown else why_of(item)
+    if unknown and isinstance(value, str) and _SECRETIVE.intersection(known):
+        return say("at-key", key=key, what=why)
     if not key:
         return why
     if kind != "missing" and isinstance(value, str | int | float | bool):

@@ -126,6 +126,26 @@ def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, messa
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("table", "key", "meant"),
+    [
+        ('[mqtt]\nhost = "m"', "password", "password_file"),
+        ('[email]\nhost = "m"\nsender = "a@b.c"\nto = ["a@b.c"]', "pasword_file", "password_file"),
+        ('[webhook]\naddress_file = "hook"', "address", "address_file"),
+        ("[store]", "password", ""),
+    ],
+)
+def test_a_secret_that_was_put_into_the_configuration_itself_is_in_no_refusal(folder, table, key, meant):
+    given = f'{table}\n{key} = "Hunter-2"\n'
+    text = (
+        GOOD.replace(f"{table}\n", given, 1) if table in GOOD else GOOD.replace("[server]", f"{given}[server]", 1)
+    )
+    (folder / "kerntemp.toml").write_text(text)
+    with pytest.raises(InputError, match=rf"{key}: unknown key.*{meant}") as caught:
+        load_config(folder / "kerntemp.toml")
+    assert "Hunter-2" not in str(caught.value)
+
+
 def test_a_wire_named_like_a_sensor_is_refused_since_a_face_would_take_it_in(folder):
     text = GOOD.replace('"top_1"]', '"top_1", "top_end"]')
     (folder / "kerntemp.toml").write_text(text.replace("rate_hz", 'limit_switch = "top_end"\nrate_hz'))
