@@ -58,8 +58,8 @@ GOOD, BLISTER = "good", "blister"
 VERDICTS = (GOOD, BLISTER, "undercured", "scrap")
 """What became of a panel, as the operator saw it."""
 VERDICT = "panel.verdict"
-START = "panel.initial_temperature_C"
 """The key it stands under."""
+START = "panel.initial_temperature_C"
 CONSTANTS = ("panel.density_kg_m3", "panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """What the material table has of a panel."""
 USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
