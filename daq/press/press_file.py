@@ -151,7 +151,8 @@ class Layer(Table):
         lower, upper = LAYER_LIMITS[str(field.field_name)]
         for one in [y for _, y in value] if isinstance(value, tuple) else [value]:
             if one is not None and not lower <= one <= upper:
-                raise ValueError(say("press-layer-outside", value=f"{one:g}", lower=lower, upper=upper))
+                given = {"value": f"{one:g}", "layer": str(field.data.get("name", ""))}
+                raise ValueError(say("press-layer-outside", **given, lower=lower, upper=upper))
         return value
 
     @model_validator(mode="after")

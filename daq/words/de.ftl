@@ -320,7 +320,7 @@ press-depth-outside = außerhalb der Schicht '{ $layer }', die { NUMBER($thickne
 press-guess-outside = guess = { NUMBER($guess) } liegt außerhalb von lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
 press-initial-needs = kind = "uniform" braucht temperature_C, oder eine Schicht mit from_run, deren Anfang dann gilt
 press-layer-needs = braucht { $keys } (oder from_run = true)
-press-layer-outside = { $value } hat kein Stoff; muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
+press-layer-outside = { $value } hat kein Stoff; muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein (Schicht '{ $layer }')
 press-layer-surplus = from_run = true nimmt die Kennwerte aus der Pressung; { $keys } entfernen
 press-layer-twice = Schichten brauchen verschiedene Namen; { $names } kommt zweimal vor
 press-no-place = muss SCHICHT.bottom, SCHICHT.middle, SCHICHT.top oder {"{"} layer = SCHICHT, depth_mm = ... {"}"} sein

@@ -320,7 +320,7 @@ press-depth-outside = outside layer '{ $layer }', which is { NUMBER($thickness_m
 press-guess-outside = guess = { NUMBER($guess) } lies outside lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
 press-initial-needs = kind = "uniform" needs temperature_C, or a layer with from_run, whose start it then is
 press-layer-needs = needs { $keys } (or from_run = true)
-press-layer-outside = { $value } is what no matter has; must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
+press-layer-outside = { $value } is what no matter has; must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) } (layer '{ $layer }')
 press-layer-surplus = from_run = true takes its constants from the run; remove { $keys }
 press-layer-twice = layer names must differ; { $names } occurs twice
 press-no-place = must be LAYER.bottom, LAYER.middle, LAYER.top or {"{"} layer = LAYER, depth_mm = ... {"}"}
