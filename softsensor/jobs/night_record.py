@@ -88,9 +88,10 @@ def _record(
 
 def _runs(store: Store, press: str, until: datetime | None) -> Iterator[RunRecord]:
     """Yield the newest runs; with `until` those begun before, with what came in by a file without a date."""
+    if until is None:
+        yield from store.runs(press=press, limit=SHOWN_RUNS).items
+        return
     begun = store.runs(press=press, limit=1, until=until).items
     newer = str(begun[0].number + 1) if begun else None
     runs = every(lambda cursor: store.runs(press=press, cursor=cursor or newer, limit=SHOWN_RUNS))
-    yield from islice(
-        (r for r in runs if until is None or r.started_utc is None or r.started_utc < until), SHOWN_RUNS
-    )
+    yield from islice((r for r in runs if r.started_utc is None or r.started_utc < until), SHOWN_RUNS)
