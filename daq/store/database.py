@@ -267,7 +267,7 @@ class Database:
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":
-            engine = create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(busy_s))
+            engine = create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(self.url, busy_s))
             event.listen(engine, "do_connect", _connect_watched)
             return engine
         engine = create_engine(self.url, connect_args={"timeout": busy_s})
@@ -375,16 +375,18 @@ _ONE_STATE: Mapping[str, dict[str, Any]] = {"sqlite": {}, "postgresql": {"isolat
 """What has all questions of a transaction see the same: a server's default is one state a question."""
 
 
-def _server_options(busy_s: float) -> dict[str, Any]:
-    """Return what makes a dead server or connection an error within seconds, instead of minutes of silence."""
-    return {
+def _server_options(url: URL, busy_s: float) -> dict[str, Any]:
+    """Return what makes a dead server or connection an error within seconds; what the address asks for stands."""
+    ours = {
         "connect_timeout": max(2, min(int(busy_s), 3)),
         "keepalives_idle": 5,
         "keepalives_interval": 2,
         "keepalives_count": 3,
         "tcp_user_timeout": 8000,
-        "options": f"-c lock_timeout={int(1000 * busy_s)}",
     }
+    asked = url.query.get("options", ())
+    options = [f"-c lock_timeout={int(1000 * busy_s)}", *([asked] if isinstance(asked, str) else asked)]
+    return {"options": " ".join(options)} | {key: value for key, value in ours.items() if key not in url.query}
 
 
 def _connect_watched(_dialect: Any, _record: Any, words: list[Any], options: dict[str, Any]) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sqlalchemy import inspect, text
+from sqlalchemy import create_engine, inspect, text
 
 from daq.files.run_file import read_run, write_run
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Run, Scan
@@ -753,6 +753,19 @@ def test_a_locked_store_says_so_and_goes_on_when_it_is_free(tmp_path):
 
 def test_a_semicolon_ends_a_statement_only_at_a_line_end():
     assert statements("A 'x; y' B;\nC;\n-- only words\n", "sqlite") == ["A 'x; y' B", "C"]
+
+
+def test_what_a_server_s_address_asks_of_the_session_holds_beside_what_we_ask(postgresql_url):
+    server = create_engine(postgresql_url)
+    with server.begin() as connection:
+        connection.execute(text("CREATE SCHEMA plant"))
+    with open_store(f"{postgresql_url}?options=-csearch_path%3Dplant&keepalives_idle=7", busy_s=4.0) as store:
+        record_one_run(store)
+        with store.database.reading() as connection:
+            assert connection.execute(text("SHOW lock_timeout")).scalar_one() == "4s"
+    with server.connect() as connection:
+        assert connection.execute(text("SELECT count(*) FROM plant.run")).scalar_one() == 1
+    server.dispose()
 
 
 def test_a_postgresql_url_gets_its_driver():

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -35,6 +36,15 @@ def server(url, *statements):
 
 def empty(url):
     server(url, "DROP SCHEMA public CASCADE", "CREATE SCHEMA public")
+
+
+@contextmanager
+def restoring(url):
+    """Fill a store beside the one that is empty, then put it in its place at once, as a restore does."""
+    server(url, "CREATE SCHEMA backup")
+    with open_store(f"{url}?options=-csearch_path%3Dbackup") as beside:
+        yield beside
+    server(url, "DROP SCHEMA public CASCADE; ALTER SCHEMA backup RENAME TO public")
 
 
 def started(store, folder, buffered=True):
@@ -76,7 +86,7 @@ def test_while_a_server_s_database_is_restored_scans_and_runs_wait_and_none_is_s
         assert outbox.behind
         (away,) = told(notes)
         assert "its tables are missing" in away
-        with open_store(postgresql_url) as restored:
+        with restoring(postgresql_url) as restored:
             again = restored.register_press("lab", CHANNELS)
             assert (again.press_id, again.layout_id) == (key.press_id, key.layout_id)
             begun = NewRun("lab-3", 3, BEGAN, 100.3)  # the backup is older: it does not have the end of this one
