@@ -58,6 +58,10 @@ class Buffer:
         self._known: dict[int, dict[str, Any]] = {}
         self._unkept: set[int] = set()
         """Sessions whose notes the file does not have yet."""
+        self._offered: dict[int, str] = {}
+        """Rows that were read to be written to the store: whatever becomes of the file, they are not lost."""
+        self._unreadable: set[int] = set()
+        """Rows that were set aside and reported, while they stand in the file."""
         self._held: set[int] = set()
         """Sessions of items that were in the file: a later process finds again what cannot be removed."""
         self.sessions: MutableMapping[int, dict[str, Any]] = _Sessions(self)
@@ -76,7 +80,7 @@ class Buffer:
             self._count = self._do(_count)
             self._counted = True
             if self._count:
-                self._known.update({**self._do(_notes), **self._known})
+                self._known.update({**self._do(lambda c: dict(_notes(c))), **self._known})
             else:
                 with suppress(sqlite3.Error):  # of sessions with nothing left: no harm, and the disk may be full
                     self._do(_forget_notes)
@@ -107,16 +111,17 @@ class Buffer:
         self.expect(max(len(text) for text in texts))
 
     def oldest(self, limit: int) -> list[tuple[int, WriteBatch | Entry]]:
-        """Return the first items with their row numbers; one that cannot be read is set aside and reported."""
+        """Return the first items with their row numbers; what cannot be read is set aside and reported once."""
         self._first_count()
         while self._count:
             rows: list[Row] = self._do(lambda c: c.execute(_OLDEST, (self._handled, limit)).fetchall())
+            self._offered = dict(rows)
             if not rows:
                 if self._count:
                     self._alarm(say("buffer-emptied", file=str(self.path), count=self._count))
                 self._count = 0
                 return []
-            if read := [(number, item) for number, text in rows if (item := self._item(text)) is not None]:
+            if read := self._items(rows):
                 self._held |= _sessions_of([item for _, item in read])
                 return read
             self.remove(rows[-1][0])
@@ -124,10 +129,11 @@ class Buffer:
 
     def remove(self, last: int) -> None:
         """Forget everything up to a row, for this process also where the disk takes no more changes."""
-        before, self._handled = self._handled, last
-        count = "SELECT count(*) FROM parcel WHERE number > ? AND number <= ?"
-        self._count -= int(self._do(lambda c: c.execute(count, (before, last)).fetchone()[0]))
-        with suppress(sqlite3.Error):
+        self._handled = last
+        before, self._offered = self._offered, {n: text for n, text in self._offered.items() if n > last}
+        self._count -= len(before) - len(self._offered)
+        self._unreadable = {n for n in self._unreadable if n > last}
+        with suppress(sqlite3.Error, OSError):
             self._do(lambda c: c.execute("DELETE FROM parcel WHERE number <= ?", (last,)).rowcount)
 
     def expect(self, batch_bytes: int) -> None:
@@ -168,13 +174,24 @@ class Buffer:
         """Keep what the store does not take, or what cannot be read, as a line of a file beside the buffer."""
         return set_aside(self.path, text, why)
 
-    def _item(self, text: str) -> WriteBatch | Entry | None:
+    def _items(self, rows: Sequence[Row]) -> list[tuple[int, WriteBatch | Entry]]:
+        """Return what rows hold; those that cannot be read are set aside, and reported together."""
+        items: list[tuple[int, WriteBatch | Entry]] = []
+        faults: list[tuple[Path, Message]] = []
         try:
-            return decode_item(_opened(text))
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            aside = self.set_aside(str(text), str(error))
-            self._alarm(say("buffer-row-unreadable", file=str(self.path), aside=str(aside), error=spoken(error)))
-            return None
+            for number, text in rows:
+                try:
+                    items.append((number, decode_item(_opened(text))))
+                except (ValueError, KeyError, TypeError, IndexError) as unread:
+                    if number not in self._unreadable:
+                        faults.append((self.set_aside(str(text), str(unread)), spoken(unread)))
+                        self._unreadable.add(number)
+        finally:
+            if faults:
+                aside, error = faults[0]
+                files = {"file": str(self.path), "aside": str(aside)}
+                self._alarm(say("buffer-rows-unreadable", count=len(faults), error=error, **files))
+        return items
 
     def _do(self, work: Callable[[sqlite3.Connection], Result]) -> Result:
         """Work with the file; a damaged one is replaced first."""
@@ -193,7 +210,8 @@ class Buffer:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         expected = self._count
         rows, notes = _salvaged(self.path) if self.path.exists() else ([], {})
-        rows = [row for row in rows if row[0] > self._handled]
+        found = {number: text for number, text in rows if number > self._handled}
+        rows = sorted({**found, **self._offered}.items())
         fresh = self.path.with_name(f"{self.path.name}.fresh")
         _remove(fresh)
         try:
@@ -211,7 +229,7 @@ class Buffer:
         self._known.update({**notes, **self._known})
         self._count = len(rows)
         gaps = rows[-1][0] - rows[0][0] + 1 - len(rows) if rows else 0
-        lost = max(expected - len(rows), gaps)
+        lost = max(expected - len(rows), 0) if self._counted else gaps
         if aside.exists():
             files = {"file": str(self.path), "aside": str(aside), "error": reason_of(error)}
             code = "buffer-damaged" if self._counted else "buffer-damaged-uncounted"
@@ -296,11 +314,15 @@ def _note(connection: sqlite3.Connection, session: int, content: dict[str, Any] 
     if content is None:
         connection.execute("DELETE FROM session WHERE session = ?", (session,))
     else:
-        connection.execute("INSERT OR REPLACE INTO session VALUES (?, ?)", (session, json.dumps(content)))
+        sealed = _sealed(json.dumps(content))
+        connection.execute("INSERT OR REPLACE INTO session VALUES (?, ?)", (session, sealed))
 
 
-def _notes(connection: sqlite3.Connection) -> dict[int, dict[str, Any]]:
-    return {key: json.loads(content) for key, content in connection.execute("SELECT * FROM session")}
+def _notes(connection: sqlite3.Connection) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield what is known of each session; a session whose note cannot be read begins anew."""
+    for session, content in connection.execute("SELECT session, content FROM session"):
+        with suppress(ValueError):
+            yield session, json.loads(_opened(content))
 
 
 def _forget_notes(connection: sqlite3.Connection) -> dict[int, dict[str, Any]]:
@@ -344,8 +366,8 @@ def _salvaged(path: Path) -> tuple[list[Row], dict[int, dict[str, Any]]]:
     with closing(connection):
         with suppress(sqlite3.Error):
             connection.execute("PRAGMA writable_schema=ON")  # also reads a file that is shorter than it says
-        with suppress(sqlite3.Error, ValueError):
-            notes = _notes(connection)
+        with suppress(sqlite3.Error, UnicodeDecodeError):
+            notes.update(_notes(connection))
         rows += _readable_rows(connection)
     return rows, notes
 

@@ -10,12 +10,14 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from daq.store import NewRun, StoreUnavailable, open_store
 from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
+from daq.store.session_placement import session_key
 from daq.store.waiting import open_when_ready
 from daq.store.write_batch import Entry
 from daq.words import say
@@ -279,6 +281,73 @@ def test_the_salvage_of_a_buffer_that_is_cut_short_ends_wherever_it_is_cut(tmp_p
         assert set(found) <= set(texts)
         assert len(found) == len(set(found))
     assert alarms
+
+
+@pytest.mark.parametrize("content", [None, "", "12", "[", b"\xff", '{"channels": 3'], ids=repr)
+def test_a_note_of_a_session_that_cannot_be_read_keeps_no_recorder_from_recording(tmp_path, content):
+    path, notes = tmp_path / "b.sqlite", Notes()
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        buffer = Buffer(path)
+        key = session_key(buffer.sessions, "lab", CHANNELS, "press file")
+        buffer.append([batch(key, n) for n in range(50)])
+        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.executescript(
+                "DROP TABLE session; CREATE TABLE session (session INTEGER PRIMARY KEY, content)"
+            )
+            connection.execute("INSERT INTO session VALUES (?, ?)", (key.press_id, content))
+        outbox = Outbox(store, buffer=path, acknowledged=notes.note, journal=notes.journal)
+        later = outbox.later_key("lab", CHANNELS, "press file")
+        outbox.start()
+        for n in range(30):
+            outbox.put(batch(later, n))
+        wait_until(lambda: numbers(store) == list(range(80)))
+        outbox.close()
+    assert not notes.journalled
+
+
+def test_a_damaged_buffer_is_salvaged_though_a_note_in_it_cannot_be_read(tmp_path):
+    path, alarms = tmp_path / "b.sqlite", []
+    buffer, texts = Buffer(path, alarms.append), [f"{n} {'x' * 500}" for n in range(100)]
+    buffer.append(entries(texts))
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.executescript("DROP TABLE session; CREATE TABLE session (session INTEGER PRIMARY KEY, content)")
+        connection.execute("INSERT INTO session VALUES (-5, NULL)")
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    spoil(path, 4096 * 7, 4096, b"\xa5")
+    found = drained(buffer)
+    assert 80 < len(found) < 100
+    assert [(one.code, one.arguments["lost"]) for one in alarms] == [("buffer-damaged", 100 - len(found))]
+
+
+def test_what_is_being_written_when_a_buffer_is_damaged_is_neither_lost_nor_counted_as_lost(tmp_path):
+    path, alarms = tmp_path / "b.sqlite", []
+    buffer, texts = Buffer(path, alarms.append), [f"{n} {'x' * 500}" for n in range(100)]
+    buffer.append(entries(texts))
+    rows = buffer.oldest(40)
+    path.write_bytes(random.Random(1).randbytes(9000))
+    buffer.remove(rows[-1][0])
+    assert drained(buffer) == []
+    assert [(one.code, one.arguments["lost"]) for one in alarms] == [("buffer-damaged", 60)]
+    buffer.append(entries(texts))
+    buffer.oldest(40)
+    path.write_bytes(random.Random(1).randbytes(9000))
+    buffer.sessions[-7] = {"channels": [], "press_file": ""}  # found out while these are on their way
+    assert drained(buffer) == texts[:40]
+    assert [one.arguments["lost"] for one in alarms] == [60, 60]
+
+
+def test_entries_that_cannot_be_read_are_reported_together_and_once_however_often_they_are_read(tmp_path):
+    path, alarms = tmp_path / "b.sqlite", []
+    buffer, texts = Buffer(path, alarms.append), [f"{n}" for n in range(100)]
+    buffer.append(entries(texts))
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("UPDATE parcel SET content = 'x' WHERE number % 10 = 1")
+    for _ in range(3):  # the store takes nothing yet
+        assert len(buffer.oldest(100)) == 90
+    assert drained(buffer) == [text for n, text in enumerate(texts) if n % 10]
+    ((code, count, aside),) = [(a.code, a.arguments["count"], a.arguments["aside"]) for a in alarms]
+    assert (code, count) == ("buffer-rows-unreadable", 10)
+    assert len(Path(aside).read_text().splitlines()) == 10
 
 
 def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):
