@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from functools import partial
 
 from daq.drivers.bus import Bus, LineTiming, release_bus, share_bus
 from daq.drivers.calibration import corrector, read_calibrations
 from daq.drivers.dcon import DconDevice
 from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.modbus_device import ModbusDevice
-from daq.drivers.polled import Device, PolledLogger
+from daq.drivers.polled import Correct, Device, PolledLogger
 from daq.drivers.profile import Profile, profile_for
 from daq.drivers.protocol import Cause, DataLogger, NoReply
 from daq.drivers.scpi import ScpiDevice
@@ -26,20 +27,25 @@ def open_logger(settings: LoggerSettings) -> DataLogger:
     file that is not there yet corrects nothing (`uncorrected` says so). The port is opened by the first
     `read`: a logger that is off does not keep others from starting.
     """
-    profile = profile_for(settings)
+    return _opened(settings, profile_for(settings), _correction(settings))
+
+
+def _opened(settings: LoggerSettings, profile: Profile, correct: Correct | None) -> DataLogger:
     bus = share_bus(place_of(settings, profile), numbered=_numbered(settings, profile))
     try:
-        return _on_bus(settings, profile, bus)
+        return _on_bus(settings, profile, correct, bus)
     except InputError:
         release_bus(bus)
         raise
 
 
-def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogger:
-    correct = None
-    if settings.calibration is not None and not uncorrected(settings):
-        today = datetime.now(UTC).date()
-        correct = corrector(read_calibrations(settings.calibration), settings.channels, today)
+def _correction(settings: LoggerSettings) -> Correct | None:
+    if settings.calibration is None or uncorrected(settings):
+        return None
+    return corrector(read_calibrations(settings.calibration), settings.channels, datetime.now(UTC).date())
+
+
+def _on_bus(settings: LoggerSettings, profile: Profile, correct: Correct | None, bus: Bus) -> PolledLogger:
     device = _device(settings, profile, bus)
     return PolledLogger(device, settings, profile.timing, correct=correct, release=release_bus)
 
@@ -58,14 +64,15 @@ def _numbered(settings: LoggerSettings, profile: Profile) -> bool:
 class SuccessorLogger:
     """A logger that takes over from one still running: it opens its port once that one has let go.
 
-    Raises InputError at once for what is wrong in profile, calibration file or settings.
+    Files are read now, for what they are on may hang by then. Raises InputError for what is wrong in profile,
+    calibration file or settings.
     """
 
     def __init__(self, settings: LoggerSettings) -> None:
-        profile = profile_for(settings)
+        profile, correct = profile_for(settings), _correction(settings)
         place = place_of(settings, profile)
-        trial = _on_bus(settings, profile, Bus(place, numbered=_numbered(settings, profile)))
-        self._settings = settings
+        trial = _on_bus(settings, profile, correct, Bus(place, numbered=_numbered(settings, profile)))
+        self._open = partial(_opened, settings, profile, correct)
         self._channels = trial.channels
         self._logger: DataLogger | None = None
 
@@ -78,7 +85,7 @@ class SuccessorLogger:
         """Wait for the next reading. Raises NoReply or BadFrame."""
         if self._logger is None:
             try:
-                self._logger = open_logger(self._settings)
+                self._logger = self._open()
             except InputError as error:
                 raise NoReply(spoken(error), Cause.IN_USE) from error
         return self._logger.read()

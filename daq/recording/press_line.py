@@ -18,7 +18,7 @@ from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger, uncorrected
 from daq.press.events import PressEventDetector, columns_of
 from daq.press.header import doubts
 from daq.press.late_beginning import LateBeginning
-from daq.press.press_file import read_press
+from daq.press.press_file import Press
 from daq.press.wires import CLOSED, Wires
 from daq.process.config import PressSettings, press_of
 from daq.recording.acquisition import ClockWatch, LoggerThread, Scanner
@@ -65,12 +65,14 @@ class LoggerPlan:
     settings: LoggerSettings
     calibration: str
     profile: str
+    lacking: Message | None
+    """Remark on a calibration file that nobody has made yet."""
 
 
 def plan_of(settings: LoggerSettings) -> LoggerPlan:
     """Return what a logger depends on."""
     own = Path(settings.profile) if settings.profile.endswith(".toml") else None
-    return LoggerPlan(settings, _text(settings.calibration), _text(own))
+    return LoggerPlan(settings, _text(settings.calibration), _text(own), uncorrected(settings))
 
 
 def _text(path: Path | None) -> str:
@@ -79,8 +81,12 @@ def _text(path: Path | None) -> str:
 
 @dataclass(frozen=True)
 class _Change:
+    """All that changed settings name, read: a drive that hangs must not hold up the thread that records."""
+
     settings: PressSettings
-    text: str
+    press: Press
+    press_file: str
+    rules: RunRules
     plans: tuple[LoggerPlan, ...]
     successors: Mapping[str, DataLogger]
     """By name, the loggers that are new or differ."""
@@ -110,7 +116,8 @@ class PressLine:
         self.settings = settings
         store, outbox, speed, journal, stop = shared
         self._outbox, self._stop, self._journal, self._speed = outbox, stop, journal, speed
-        self._detector, self._late = _watchers(settings)
+        press = press_of(settings)
+        self._detector, self._late = _watchers(press)
         self._newest: Scan | None = None
         self._left_out: list[tuple[float, int]] = []
         """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
@@ -122,11 +129,11 @@ class PressLine:
         self._changed: _Change | None = None
         self._press_file = text_in(settings.file)
         self._plans = tuple(plan_of(x) for x in settings.logger)
-        threads = [self._thread_of(x, logger) for x, logger in zip(settings.logger, loggers, strict=True)]
+        threads = [self._thread_of(x, logger) for x, logger in zip(self._plans, loggers, strict=True)]
         channels = _channels(threads, self._detector.wires)
         outbox.expect(channels, settings.name, self._press_file)
         self._key, names = self._enter(store, channels)
-        self._keeper = RunKeeper(self._rules(text), names, self._panel_places(channels))
+        self._keeper = RunKeeper(_rules(settings, text, self._plans), names, _panel_places(press, channels))
         self._scanner = Scanner(threads, self._period_s, speed, self._key.next_number)
         self._handed_over = -1
         """The newest scan that is on its way to the store."""
@@ -149,56 +156,47 @@ class PressLine:
                 return key, names
         return self._outbox.later_key(name, channels, self._press_file), RunNames(name, None)
 
-    def _thread_of(self, settings: LoggerSettings, logger: DataLogger) -> LoggerThread:
-        if lacking := uncorrected(settings):
-            self._of_logger("warning", lacking, {"logger": settings.name})
-        return LoggerThread(settings.name, logger, self._of_logger)
+    def _thread_of(self, plan: LoggerPlan, logger: DataLogger) -> LoggerThread:
+        name = plan.settings.name
+        if plan.lacking is not None:
+            self._of_logger("warning", plan.lacking, {"logger": name})
+        return LoggerThread(name, logger, self._of_logger)
 
     @property
     def _period_s(self) -> float:
         return 1.0 / (self.settings.rate_hz * self._speed)
 
-    def _panel_places(self, channels: Sequence[Channel]) -> list[int]:
-        faces = columns_of(read_press(self.settings.file)).of_face([c.name for c in channels])
-        return [i for i, c in enumerate(channels) if c.name in (*faces[0], *faces[1])]
-
-    def _rules(self, text: str) -> RunRules:
-        """Return how runs are cut; they keep the configuration with the calibrations in force."""
-        used = {p.settings.calibration: p.calibration for p in self._plans if p.settings.calibration}
-        for path, content in used.items():
-            text += f"\n# {path}:\n" + "".join(f"#   {line}\n" for line in content.splitlines())
-        s = self.settings
-        return RunRules(s.name, s.pre_trigger_s, s.post_removal_s, s.longest_run_s, s.header, text)
-
     # --- a changed configuration ------------------------------------------------------------------------
 
     def change(self, settings: PressSettings, text: str) -> None:
         """Take over changed settings between runs. Raises `InputError` for what is wrong in them."""
-        press_of(settings)
+        press, press_file = press_of(settings), text_in(settings.file)
         plans = tuple(plan_of(x) for x in settings.logger)
-        new = [p.settings for p in plans if p not in self._plans]
-        self._changed = _Change(settings, text, plans, {x.name: SuccessorLogger(x) for x in new})
+        successors = {p.settings.name: SuccessorLogger(p.settings) for p in plans if p not in self._plans}
+        rules = _rules(settings, text, plans)
+        self._changed = _Change(settings, press, press_file, rules, plans, successors)
 
     def _take_over(self) -> None:
         """Swap settings between two scans; loggers that stay do not notice."""
         if self._changed is None or self._keeper.open_run is not None:
             return
         change, self._changed = self._changed, None
-        press_file = text_in(change.settings.file)
-        if (press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
-            self._press_file = press_file
-            self._detector, self._late = _watchers(change.settings)
+        if (change.press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
+            self._press_file = change.press_file
+            self._detector, self._late = _watchers(change.press)
         self.settings, self._plans = change.settings, change.plans
         kept = {x.name: x for x in self._scanner.loggers}
         threads = [
-            self._thread_of(x, change.successors[x.name]) if x.name in change.successors else kept[x.name]
-            for x in change.settings.logger
+            kept[name]
+            if (new := change.successors.get(name := x.settings.name)) is None
+            else self._thread_of(x, new)
+            for x in change.plans
         ]
         channels = _channels(threads, self._detector.wires)
         if channels != self._key.channels:
             self._key = replace(self._key, layout_id=0, channels=channels)
             self._outbox.expect(channels, self.settings.name, self._press_file)
-        self._keeper.change(self._rules(change.text), self._panel_places(channels))
+        self._keeper.change(change.rules, _panel_places(change.press, channels))
         self._scanner.change(threads, self._period_s, self._stop)
         self._journal("info", say("configuration-in-force"), self.settings.name)
 
@@ -370,8 +368,21 @@ class PressLine:
         return [{"press": self.settings.name, **x.report()} for x in self._scanner.loggers]
 
 
-def _watchers(settings: PressSettings) -> tuple[PressEventDetector, LateBeginning]:
-    press = press_of(settings)
+def _rules(settings: PressSettings, text: str, plans: Sequence[LoggerPlan]) -> RunRules:
+    """Return how runs are cut; they keep the configuration with the calibrations in force."""
+    used = {p.settings.calibration: p.calibration for p in plans if p.settings.calibration}
+    for path, content in used.items():
+        text += f"\n# {path}:\n" + "".join(f"#   {line}\n" for line in content.splitlines())
+    s = settings
+    return RunRules(s.name, s.pre_trigger_s, s.post_removal_s, s.longest_run_s, s.header, text)
+
+
+def _panel_places(press: Press, channels: Sequence[Channel]) -> list[int]:
+    faces = columns_of(press).of_face([c.name for c in channels])
+    return [i for i, c in enumerate(channels) if c.name in (*faces[0], *faces[1])]
+
+
+def _watchers(press: Press) -> tuple[PressEventDetector, LateBeginning]:
     return PressEventDetector(press), LateBeginning(press)
 
 

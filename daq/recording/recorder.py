@@ -85,8 +85,8 @@ from daq.drivers import open_logger
 from daq.process.config import Config, load_config, press_of
 from daq.process.notify import Notifier
 from daq.process.stopping import stop_on_signals
+from daq.recording.config_watch import ConfigWatch
 from daq.recording.press_line import Journal, Level, PressLine, Shared
-from daq.records import InputError
 from daq.store import Store, StoreUnavailable, open_store
 from daq.store.file_rescue import damage_of
 from daq.store.outbox import Outbox
@@ -147,6 +147,9 @@ def record(
         for line in lines:
             line.start()
         pages = _watched_pages(store, journal, stop)
+        watch = ConfigWatch(config, journal)
+        look = partial(watch.work, lines, stop)
+        SupervisedThread(watch.steps.name, look, partial(journal, "alarm"), watch.steps).start()
         thinning = Steps("thinning")
         thin = partial(_thin, store, config.store.keep_idle_days, stop, thinning)
         SupervisedThread(thinning.name, thin, partial(journal, "alarm"), thinning).start()
@@ -155,7 +158,7 @@ def record(
         notifier = Notifier()
         notifier.ready(str(say("recording-now", presses=presses)))
         try:
-            _Recording(config, store, lines, outbox, notifier, journal, thinning, pages).watch(stop)
+            _Recording(store, lines, outbox, notifier, journal, (thinning, watch), pages).watch(stop)
         finally:
             notifier.stopping()
             stop.set()
@@ -207,22 +210,21 @@ def _sole_recorder(config: Config, store: Store) -> Iterator[None]:
 class _Recording:
     """What a recorder consists of."""
 
-    config: Config
     store: Store
     lines: Sequence[PressLine]
     outbox: Outbox
     notifier: Notifier
     journal: Journal
-    thinning: Steps
+    beside: Sequence[Steps | ConfigWatch]
+    """What recording goes on without, where it stands still."""
     pages: PageWatch | None = None
 
     def watch(self, stop: threading.Event) -> None:
-        """Until stopped: signs of life, changes of the configuration; what takes longer has its own thread."""
-        watch, reported = _ConfigWatch(self.config, self.journal), None
+        """Until stopped: signs of life; what takes longer, or reads files, has its own thread."""
+        reported = None
         while not stop.wait(BEAT_S):
             try:
                 self._give_sign_of_life()
-                watch.look(self.lines)
                 reported = None
             except Exception as error:  # noqa: BLE001 - who watches must not die of what it sees
                 fault = say("thread-failed", thread="watch", why=unexpected(error))
@@ -233,12 +235,12 @@ class _Recording:
     def _give_sign_of_life(self) -> None:
         """Feed the watchdog only while presses have fresh scans, drivers come back, writer and page watch work.
 
-        Thinning that stands still is reported; it is no reason to stop recording.
+        Thinning, or a look at the configuration, that stands still is reported; it is no reason to stop recording.
         """
         found = [*(line.stalled() for line in self.lines), self.outbox.stalled()]
         found += [self.pages.stalled()] if self.pages is not None else []
         stalled = [why for why in found if why is not None]
-        standing = stalled if (slow := self.thinning.stalled()) is None else [*stalled, slow]
+        standing = [*stalled, *(why for one in self.beside if (why := one.stalled()) is not None)]
         status = _status(self.lines, self.outbox, "running", standing)
         self.outbox.beat(self.store.beats_as(PROCESS), status)
         if stalled:
@@ -291,67 +293,6 @@ class PageWatch:
 def _size_of(file: Path) -> int:
     try:
         return file.stat().st_size
-    except OSError:
-        return 0
-
-
-class _ConfigWatch:
-    """Notices a changed configuration or file it names; each press takes it over between its runs."""
-
-    def __init__(self, config: Config, journal: Journal) -> None:
-        self._config, self._journal = config, journal
-        self._stamps = _changed(config)
-
-    def look(self, lines: Sequence[PressLine]) -> None:
-        """Hand a changed configuration to the presses; a wrong one is reported once and left."""
-        if self._config.path is None or (now := _changed(self._config)) == self._stamps:
-            return
-        self._stamps = now
-        try:
-            fresh = load_config(self._config.path)
-            self._refuse_what_needs_a_start(fresh)
-            for line in lines:
-                line.change(fresh.press_named(line.settings.name), fresh.text)
-        except (InputError, OSError) as error:  # also a folder that may not be read, a share that is away
-            self._journal("warning", say("configuration-refused", why=spoken(error)))
-            return
-        self._config = fresh
-        stamps = _changed(fresh)  # of a file known before, as it was when this configuration was read
-        self._stamps = stamps | {file: at for file, at in now.items() if file in stamps}
-        self._journal("info", say("configuration-changed"))
-
-    def _refuse_what_needs_a_start(self, fresh: Config) -> None:
-        """Refuse what cannot change under way, before any press has taken anything over."""
-        now, then = self._config, fresh
-        changed = [
-            Message(what)
-            for what, differs in (
-                ("needs-start-store", (now.store.url, now.store.buffer) != (then.store.url, then.store.buffer)),
-                ("needs-start-clock", now.clock != then.clock),
-                ("needs-start-presses", [p.name for p in now.press] != [p.name for p in then.press]),
-            )
-            if differs
-        ]
-        if changed:
-            raise InputError(say("configuration-needs-start", file=str(fresh.path), changed=tuple(changed)))
-
-
-def _files(config: Config) -> list[Path]:
-    """Return the configuration's file and those that it names."""
-    loggers = [logger for press in config.press for logger in press.logger]
-    profiles = [Path(logger.profile) for logger in loggers if logger.profile.endswith(".toml")]
-    named = [config.path, *(p.file for p in config.press), *(logger.calibration for logger in loggers)]
-    return [file for file in (*named, *profiles) if file]
-
-
-def _changed(config: Config) -> dict[Path, int]:
-    return {file: _changed_ns(file) for file in _files(config)}
-
-
-def _changed_ns(file: Path) -> int:
-    """Return when a file was changed, 0 where it is not there or cannot be looked at. [ns]"""
-    try:
-        return file.stat().st_mtime_ns
     except OSError:
         return 0
 

@@ -414,6 +414,7 @@ configuration-changed = Konfiguration geändert; sie gilt ab der nächsten Pause
 configuration-in-force = Die geänderte Konfiguration gilt jetzt
 configuration-needs-start = { $file }: geändert: { $changed }; dafür kerntemp record neu starten
 configuration-refused = { $why }; die Aufzeichnung läuft mit der bisherigen Konfiguration weiter
+configuration-stalled = das Lesen von { $file }, oder einer Datei, die sie nennt, kommt nicht voran; den Datenträger prüfen; die Aufzeichnung läuft mit der bisherigen Konfiguration weiter
 driver-stuck = { $press }: der Treiber des Messgeräts { $logger } ist aus einer Abfrage nicht zurückgekehrt
 idle-not-thinned = Messwerte aus dem Leerlauf werden jetzt nicht ausgedünnt: { $why }
 logger-back = Messgerät { $logger } antwortet wieder

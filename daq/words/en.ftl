@@ -414,6 +414,7 @@ configuration-changed = configuration changed; it takes effect between runs
 configuration-in-force = the changed configuration is in force
 configuration-needs-start = { $file }: { $changed } changed; restart kerntemp record to apply it
 configuration-refused = { $why }; recording goes on with the previous configuration
+configuration-stalled = reading { $file }, or a file it names, has stalled; check the drive it is on; recording goes on with the previous configuration
 driver-stuck = { $press }: the driver of logger { $logger } has not returned from a read
 idle-not-thinned = idle scans are not thinned now: { $why }
 logger-back = logger { $logger } answers again

@@ -21,7 +21,8 @@ import pytest
 
 from daq.files.run_file import toml_value
 from daq.process.config import load_config
-from daq.recording.recorder import _ConfigWatch, _status, record
+from daq.recording.config_watch import ConfigWatch
+from daq.recording.recorder import _status, record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
@@ -351,7 +352,7 @@ def test_a_configuration_saved_while_the_one_before_is_taken_over_is_taken_over_
     with simulated("labjack-t7", made.inputs(UPPER), clock=made.clock) as a:
         made.write(wiring("labjack-t7", a, "upper", UPPER))
     first = made.config.read_text(encoding="utf-8")
-    watch = _ConfigWatch(load_config(made.config), lambda level, message, *_: None)
+    watch = ConfigWatch(load_config(made.config), lambda level, message, *_: None)
     line = LineAtWork([(made.config, first + "# the second\n")])
     made.config.write_text(first + "# the first\n", encoding="utf-8")
     for _ in range(3):
@@ -367,7 +368,7 @@ def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_pat
         wired = wiring("labjack-t7", a, "upper", UPPER) | {"calibration": "upper.toml"}
         made.write(wired)
     (tmp_path / "upper.toml").write_text("")
-    watch = _ConfigWatch(
+    watch = ConfigWatch(
         load_config(made.config), lambda level, message, *_: messages.append((level, str(message)))
     )
     watch.look([])

@@ -273,6 +273,29 @@ def test_a_recorder_thins_what_was_recorded_long_ago(tmp_path, monkeypatch):
             wait_until(lambda: [s.number for s in opened.scans_after("lab", -1, 2).scans][1] > 10)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="pipes with names are POSIX")
+@pytest.mark.parametrize("which", ["kerntemp.toml", "lab.toml"])
+def test_while_a_file_of_the_configuration_hangs_recording_and_signs_of_life_go_on(tmp_path, monkeypatch, which):
+    """As on a network drive that is away: a pipe that nobody writes into is read for ever, too."""
+    beats = []
+    monkeypatch.setattr(Notifier, "alive", lambda self, status: beats.append(status))
+    monkeypatch.setattr(recorder, "BEAT_S", 0.05)
+    monkeypatch.setattr("daq.supervision.STALLED_S", 0.5)
+    with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
+        wait_until(lambda: opened.newest_scan_number("lab") > 5)
+        hung, pipe, sound = tmp_path / which, tmp_path / "pipe", tmp_path / "sound"
+        os.mkfifo(pipe)
+        sound.write_text(hung.read_text())
+        pipe.rename(hung)
+        pipe.hardlink_to(hung)
+        wait_until(lambda: any("kerntemp.toml, or a file it names, has stalled" in beat for beat in beats))
+        newest, fed = opened.newest_scan_number("lab"), len(beats)
+        wait_until(lambda: len(beats) > fed + 20 and opened.newest_scan_number("lab") > newest + 10)
+        sound.replace(hung)
+        pipe.open("w").close()  # who waits for it reads nothing, and then the file in its place
+        wait_until(lambda: "has stalled" not in beats[-1])
+
+
 @pytest.mark.skipif(os.name == "nt", reason="these signals are POSIX")
 def test_a_closed_terminal_or_a_wish_to_rotate_logs_does_not_end_the_recorder(tmp_path):
     with plant(tmp_path) as made, open_store(made.url) as opened:
