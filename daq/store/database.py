@@ -23,7 +23,17 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
-from daq.store.file_rescue import Identity, hold, identity_of, is_exchanged, log_cut, logs_of, rescue, settle
+from daq.store.file_rescue import (
+    Identity,
+    changes_of,
+    hold,
+    identity_of,
+    is_exchanged,
+    log_cut,
+    logs_of,
+    rescue,
+    settle,
+)
 from daq.store.records import NotAStore, StoreUnavailable
 from daq.store.sound_rows import is_torn, store_label
 from daq.words import Message, say, spoken
@@ -77,6 +87,8 @@ class Database:
         """The log and its index of the file that is held on to."""
         self._log_size = 0
         """How long the log was when it was last looked at."""
+        self._changes = 0
+        """How often the file held on to was changed, by its own count, when it was last looked at."""
         if later:
             return
         try:
@@ -113,7 +125,7 @@ class Database:
         if self.path is not None and self._prepared and not self.moved:
             with self.translated():
                 self._held = hold(self.path)
-            self._logs = logs_of(self.path)
+            self._logs, self._changes = logs_of(self.path), 0
             self.settle()
 
     def settle(self) -> bool:
@@ -142,7 +154,17 @@ class Database:
         """Whether the log of the file held on to is another one, while the file is in its place."""
         if self.path is None or self._held is None or identity_of(self.path) != self._identity:
             return False
-        return logs_of(self.path) != self._logs or self.log_cut
+        return logs_of(self.path) != self._logs or self.log_cut or self.overwritten
+
+    @property
+    def overwritten(self) -> bool:
+        """Whether an older copy was written over the file held on to, in its place: its log belongs to another."""
+        if self.path is None or self._held is None or identity_of(self.path) != self._identity:
+            return False
+        if (changes := changes_of(self.path)) is None:
+            return False
+        self._changes = max(before := self._changes, changes)
+        return changes < before
 
     @property
     def log_cut(self) -> bool:
@@ -160,7 +182,7 @@ class Database:
         if self.path is None or self._held is None:
             return None
         try:
-            aside = rescue(self._held, self.path, alive, without_log=self.log_cut)
+            aside = rescue(self._held, self.path, alive, without_log=self.log_cut or self.overwritten)
         except (sqlite3.Error, OSError) as error:
             raise StoreUnavailable(_advice(self, str(error))) from error
         self._held = None

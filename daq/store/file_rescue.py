@@ -46,6 +46,8 @@ _BEGINS = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 """What a log begins with. https://www.sqlite.org/fileformat2.html#walformat"""
 _LOG_HEADER, _PAGE_HEADER = 32, 24
 """Bytes before the log's first page, and before each. Same source."""
+_COUNTER = slice(24, 28)
+"""Where a file's header counts its changes. Same source."""
 _PRESSES = "SELECT count(*) FROM press"
 LOGS = ("-wal", "-shm")
 """What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
@@ -115,6 +117,16 @@ def log_cut(path: Path, size_before: int) -> tuple[bool, int]:
         return not _says_nothing(error), size_before
     cut = pages > 0 and size < _LOG_HEADER + pages * (_PAGE_HEADER + page_size)
     return cut, size_before if cut else size
+
+
+def changes_of(path: Path) -> int | None:
+    """Return how often an SQLite file was changed, as its header counts: it never goes back. None: unknown now."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_COUNTER.stop)
+    except OSError:
+        return None
+    return int.from_bytes(head[_COUNTER], "big") if len(head) == _COUNTER.stop else None
 
 
 def settle(held: sqlite3.Connection) -> bool:

@@ -199,16 +199,23 @@ class Outbox:
             self._journal("alarm", say("store-taken-over", store=self._store.label))
         elif database.moved and database.held:
             beside = "store-rescued-log" if database.log_gone else "store-rescued-beside"
-            if cut := database.log_cut:
-                beside = "store-rescued-cut"
+            if cut := database.log_cut or database.overwritten:
+                beside = "store-overwritten" if database.overwritten else "store-rescued-cut"
             aside = database.rescue(self._moves)
             if cut:
-                self._newest.clear()
-                self._again, self._unsettled = [*self._again, *self._unsettled], deque(maxlen=_MOST_WAITING)
+                self._write_again()
             details: dict[str, Any] = {"store": self._store.label, "aside": str(aside), "count": len(self._again)}
             self._journal("alarm", Message(beside if aside else "store-rescued", details))
         if database.path is not None and not database.held:
             database.hold_on()
+
+    def _write_again(self) -> None:
+        """Have all written again that perhaps only the log held; the store should have all that was before it."""
+        self._again, self._unsettled = [*self._again, *self._unsettled], deque(maxlen=_MOST_WAITING)
+        for item in reversed(self._again):
+            if isinstance(item, WriteBatch) and item.scans:
+                moved = self._placement.moved(item)
+                self._newest[moved.key.press_id] = moved.scans[0].number - 1
 
     def _settle(self) -> None:
         """Bring what the log holds into the file with every sign of life, and forget what is there for certain."""

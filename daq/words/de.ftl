@@ -529,6 +529,7 @@ store-no-folder = Datenspeicher { $store }: den Ordner { $folder } gibt es nicht
 store-not-empty = Datenspeicher { $store }: enthält schon Daten; nur an einem neuen Ort einspielen
 store-not-sqlite = Datenspeicher { $store }: keine SQLite-Datei, oder ihre erste Seite ist zerstört; die neueste Sicherung mit kerntemp backup --restore einspielen oder einen anderen Pfad angeben
 store-nul = Datenspeicher { $store }: ein Text enthält ein NUL-Zeichen, das der Server nicht aufnimmt; es entfernen
+store-overwritten = Datenspeicher { $store }: an seinem Platz wurde eine ältere Kopie über ihn geschrieben; die Aufzeichnung läuft dort weiter, mit dem, was noch im Speicher war; was seit der Kopie sonst aufgezeichnet wurde, ist nicht mehr darin
 store-press-gone = Datenspeicher { $store }: Presse { $press } gibt es in ihm nicht mehr, an seinem Platz liegt ein anderer oder älterer; die Aufzeichnung läuft dort weiter, was er vorher enthielt, steht nur in dem, was fortgelegt wurde, oder in einer Sicherung
 store-refuses = Datenspeicher { $store }: { $reason }
 store-refuses-remedy = Datenspeicher { $store }: { $reason }; { $remedy }

@@ -529,6 +529,7 @@ store-no-folder = store { $store }: folder { $folder } does not exist; create it
 store-not-empty = store { $store }: holds data; restore only into a new place
 store-not-sqlite = store { $store }: not an SQLite file, or its first page is destroyed; restore the newest backup with kerntemp backup --restore, or give another path
 store-nul = store { $store }: a text holds a NUL character, which a server cannot keep; remove it
+store-overwritten = store { $store }: an older copy was written over it in its place; recording goes on there, with what memory still had; what else was recorded since the copy is not in it any more
 store-press-gone = store { $store }: press { $press } is not in it any more, another store or an older one is in its place; recording goes on there, what the store held before is only in what was moved away or in a backup
 store-refuses = store { $store }: { $reason }
 store-refuses-remedy = store { $store }: { $reason }; { $remedy }

@@ -1,6 +1,8 @@
 """An SQLite file or its log deleted, moved or exchanged under a writer is noticed, told, and costs no scan."""
 
 import os
+import random
+import shutil
 import sqlite3
 import threading
 from contextlib import closing
@@ -14,6 +16,7 @@ from daq.store import outbox as outbox_module
 from daq.store.file_rescue import damage_of
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
+from daq.words import say
 from tests.daq.test_store_outbox import CHANNELS, Notes, batch
 from tests.patience import wait_until
 
@@ -112,6 +115,46 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
         (aside,) = tmp_path.glob("s.sqlite.found-*")
         with open_store(str(aside)) as found:
             assert list(found.presses()) == ["hall"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_older_copy_written_over_the_file_in_its_place_is_told_with_the_scans_that_are_gone(tmp_path, seed):
+    path, copy, notes, chance = tmp_path / "s.sqlite", tmp_path / "copy.sqlite", Notes(), random.Random(seed)
+    with open_store(str(path)) as store, open_store(str(path)) as other:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
+        outbox.start()
+
+        def record(first, behind):
+            for n in range(first, behind):
+                outbox.put(batch(key, n))
+                if n % 20 == 0:
+                    wait_until(lambda: len(notes.acknowledged) > n)  # noqa: B023
+                if chance.random() < 0.02:
+                    other.log("info", "sense", say("plain-text", text="x" * 500))
+            wait_until(lambda: settled(behind))
+
+        def settled(behind):
+            outbox.beat("record", {"x": behind})  # with a sign of life what the log holds comes into the file
+            return len(notes.acknowledged) == behind and not outbox._unsettled
+
+        record(0, 300)
+        shutil.copyfile(path, copy)
+        record(300, 900)
+        shutil.copyfile(copy, path)
+        record(900, 1200)
+        outbox.close()
+        with closing(sqlite3.connect(path)) as connection:
+            kept = [row[0] for row in connection.execute("SELECT number FROM scan ORDER BY number")]
+            assert connection.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
+        assert other.newest_scan_number("lab") == 1199
+    alarms = [text for level, text in notes.journalled if level == "alarm" and "scans wait" not in text]
+    gone = sorted(set(range(1200)) - set(kept))
+    assert kept[:250] == list(range(250))
+    assert kept[-300:] == list(range(900, 1200))
+    assert gone == list(range(gone[0], gone[-1] + 1))
+    assert [f"scans {gone[0]} to {gone[-1]} of press lab" in text for text in alarms[-1:]] == [True]
+    assert all(str(path) in text for text in alarms)
 
 
 def test_what_the_log_holds_comes_into_the_file_every_second(tmp_path, monkeypatch):
