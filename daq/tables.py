@@ -13,6 +13,7 @@ import re
 import socket
 import sqlite3
 import tomllib
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -33,6 +34,8 @@ LARGEST_BYTES = 1 << 24
 (By hand)"""
 _LONG_NUMBER = re.compile(rf"[0-9][0-9_]{{{MOST_DIGITS},}}")
 _DIGITS = re.compile(r"_?[0-9]+")
+_UNSEEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Kinds of characters that nobody sees, or that turn their neighbours round. (Unicode Standard Annex 44)"""
 _TYPING_SLIPS = 2
 """Letters by which a mistyped key differs, at most: one swapped pair, or one wrong and one missing."""
 
@@ -182,6 +185,15 @@ def reason_of(error: Exception) -> Message | str:
         return say("json-invalid", line=error.lineno, column=error.colno)
     several = not isinstance(error, InputError) and "\n" in str(error)
     return str(error).partition("\n")[0] if several else spoken(error)
+
+
+def unseen(name: str) -> bool:
+    r"""Whether a name holds characters that nobody sees: it is compared, and typed again from what is seen.
+
+    >>> unseen("lab\u200b-1"), unseen("\u202e1-bal"), unseen("Prüfung 7 (Süd)")
+    (True, True, False)
+    """
+    return any(unicodedata.category(character) in _UNSEEN for character in name)
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:

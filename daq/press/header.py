@@ -19,7 +19,7 @@ from daq.materials import MATERIALS, Constant, find_material
 from daq.press.press_file import SD, Press
 from daq.printed import quoted
 from daq.records import InputError, Nonphysical, Panel, Run
-from daq.tables import at, nearest
+from daq.tables import at, nearest, unseen
 from daq.words import Message, say
 
 
@@ -68,7 +68,8 @@ TABLES = ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """Numbers in whose place a table in temperature may stand: rows of °C and value."""
 TEMPERATURE = "setting.platen_temperature_C"
 """Whose limits those temperatures keep."""
-_TEXTS = ("run", "remark", "recipe", "panel.material", VERDICT)
+_NAMES = ("run", "recipe", "panel.material", VERDICT)
+_TEXTS = (*_NAMES, "remark")
 _RECORDED = "recorded"
 """What a recorder wrote of a run: `daq.store.origin` knows these keys."""
 _TABLES = tuple(name for name in Press.model_fields if name != "sd")
@@ -90,16 +91,22 @@ def check_header(header: Mapping[str, Any], place: object) -> None:
     for key, value in header.items():
         if (meant := _meant(key)) is not None:
             raise InputError(at(place, say("header-key-meant", key=key, meant=meant)))
+        _check_words(key, value, place)
         if key.endswith(SD):
             _check_sd(key, value, place)
         elif key in TABLES and isinstance(value, list | tuple):
             checked_table(key, value, place)
         elif key in LIMITS and value is not None:
             checked_number(key, value, place)
-        elif key == VERDICT and value not in (*VERDICTS, None):
-            raise InputError(at(place, say("header-verdict", key=key, value=quoted(value), known=VERDICTS)))
         elif key.startswith(_RECKONED) and isinstance(value, float) and not math.isfinite(value):
             raise Nonphysical(at(place, say("header-not-finite", key=key, value=quoted(value))))
+
+
+def _check_words(key: str, value: object, place: object) -> None:
+    if isinstance(value, str) and key in _NAMES and unseen(value):
+        raise InputError(at(place, say("header-unseen", key=key, value=quoted(value))))
+    if key == VERDICT and value not in (*VERDICTS, None):
+        raise InputError(at(place, say("header-verdict", key=key, value=quoted(value), known=VERDICTS)))
 
 
 def checked_table(key: str, value: Sequence[Any], place: object) -> tuple[tuple[float, float], ...]:

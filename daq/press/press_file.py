@@ -103,12 +103,18 @@ class Pressure(Table):
         return self
 
 
+LARGEST_AREA_M2 = 1e4
+"""A hectare, by definition: no hall with a press in it is larger."""
+LARGEST_SIDE_LOSS_W_M2K = 250.0
+"""What forced convection of a gas takes at most (Incropera & DeWitt, 6th ed., Table 1.1)."""
+
+
 class PressTable(Table):
     """``[press]``."""
 
     name: str = "press"
-    area_m2: Positive = 1.0
-    side_loss_W_m2K: Annotated[Number, Field(ge=0)] = 0.0  # noqa: N815
+    area_m2: Annotated[Number, Field(gt=0, le=LARGEST_AREA_M2)] = 1.0
+    side_loss_W_m2K: Annotated[Number, Field(ge=0, le=LARGEST_SIDE_LOSS_W_M2K)] = 0.0  # noqa: N815
     """How much heat bare sides of the stack may lose to the room; none where they are insulated, or far away."""
     limit_switch: str = Field(default="closed", min_length=1)
     """Column of a limit switch, 1 while the press is closed; it goes before pressure and temperatures."""

@@ -34,6 +34,7 @@ from daq.store.records import (
 )
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
 from daq.store.sound_rows import rows_with_damage, stored_header
+from daq.tables import unseen
 from daq.words import say
 
 PROCESS = "record"
@@ -511,7 +512,7 @@ def append_remarks(
 def _check_name(run: Run) -> None:
     given = run.header.get("run", run.name)
     fits = _NAME.fullmatch(run.name) and len(run.name.encode("utf-8", "replace")) <= _LONGEST_RUN_NAME
-    if isinstance(given, list | bool) or not fits or run.name != run.name.strip():
+    if isinstance(given, list | bool) or not fits or unseen(run.name) or run.name != run.name.strip():
         raise InputError(say("store-run-name", file=run.source or "run", name=repr(given)))
 
 

@@ -556,7 +556,7 @@ store-rescued-cut = Datenspeicher { $store }: sein Protokoll (-wal) wurde geleer
 store-rescued-log = Datenspeicher { $store }: sein Protokoll (-wal, -shm) wurde gelöscht oder ausgetauscht; alles ist neu geschrieben, die Aufzeichnung läuft dort weiter; die Datei ohne ihre neuesten Einträge liegt nun unter { $aside }
 store-run-missing = Pressung '{ $run }' ist nicht im Datenspeicher; kerntemp export listet die Pressungen, eine Datei braucht ihren Pfad
 store-run-missing-here = Pressung '{ $run }' ist nicht im Datenspeicher { $store }; runs() listet die vorhandenen
-store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Bytes sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert
+store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Bytes sein, ohne Schrägstriche, Zeilenumbrüche, unsichtbare Zeichen und Leerzeichen am Rand; nichts wurde importiert
 store-run-renamed = Pressung '{ $run }': der Name einer Pressung lässt sich nicht ändern
 store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nichts wurde importiert; die Kopfzeile run ändern
 store-scan-damaged = Messzeile { NUMBER($scan, useGrouping: 0) } ist im Datenspeicher { $store } beschädigt und nicht lesbar; die anderen Pressungen sind es; mit kerntemp backup --restore eine Sicherung daneben herstellen und die Pressung dort holen
@@ -767,6 +767,7 @@ header-ambient-impossible = { $run }: Kopfdaten ambient.temperature_C = { $value
 header-pressure-impossible = { $run }: Kopfdaten setting.pressure_N_cm2 = { $value }: muss eine Zahl über 0 N/cm² sein; berichtigen oder, wo sie nicht bekannt ist, weglassen
 header-table-not-rising = Kopfschlüssel { $key }: die Temperaturen der Tabelle steigen nicht von Zeile zu Zeile
 header-table-rows = Kopfschlüssel { $key } = { $value }: eine Tabelle hat Zeilen aus Temperatur und Wert, [[20, 0.12], [100, 0.14]]
+header-unseen = Kopfschlüssel { $key } = { $value }: enthält unsichtbare Zeichen; neu eintippen
 header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt

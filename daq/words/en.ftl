@@ -556,7 +556,7 @@ store-rescued-cut = store { $store }: its log (-wal) was emptied or cut short; t
 store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written again and recording goes on there; the file without its newest entries is set aside as { $aside }
 store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
 store-run-missing-here = run '{ $run }' is not in store { $store }; runs() lists those that are
-store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks or blanks at its ends; nothing was imported
+store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks, characters that nobody sees, or blanks at its ends; nothing was imported
 store-run-renamed = run '{ $run }': the name of a run cannot change
 store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was imported; change the header key run
 store-scan-damaged = scan { NUMBER($scan, useGrouping: 0) } is damaged in store { $store } and cannot be read; the other runs can; restore a backup beside the store with kerntemp backup --restore and take the run from there
@@ -767,6 +767,7 @@ header-ambient-impossible = { $run }: header key ambient.temperature_C = { $valu
 header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; correct it, or leave it out where it is not known
 header-table-not-rising = header key { $key }: the temperatures of its table do not rise from row to row
 header-table-rows = header key { $key } = { $value }: a table has rows of a temperature and a value, [[20, 0.12], [100, 0.14]]
+header-unseen = header key { $key } = { $value }: holds characters that nobody sees; type it again
 header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness

@@ -63,6 +63,20 @@ def test_a_panel_that_was_in_the_press_before_is_not_changed(plant):
     assert store.run_record(run).header["panel.thickness_mm"] == 16.0
 
 
+def test_neither_a_recipe_nor_a_material_is_named_with_characters_that_nobody_sees(plant):
+    store, client, press_a_panel = plant
+    run = press_a_panel()
+    unseen = {"panel.material": "MDF\u202e"}
+    answers = [
+        client.put("/press/next", json={"recipe": "MDF\u200b 19", "header": MDF}),
+        client.put("/press/next", json={"header": unseen}),
+        client.patch(f"/runs/{run}", json={"header": unseen}),
+    ]
+    assert [answer.status_code for answer in answers] == [422] * 3
+    assert all("\u202e" not in answer.text and "\u200b" not in answer.text for answer in answers)
+    assert store.recipes() == {}
+
+
 def test_a_recipe_is_kept_by_name_chosen_again_and_named_in_the_run(plant):
     store, client, press_a_panel = plant
     client.put("/press/next", json={"recipe": "MDF 19", "header": {**MDF, "panel.initial_temperature_C": 30.0}})

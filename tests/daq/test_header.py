@@ -195,3 +195,30 @@ def test_a_standard_deviation_wider_than_what_its_number_can_be_is_refused():
         InputError, match=r"panel\.moisture_percent\.sd = 1000000000\.0: .* at most 200 %, the width"
     ):
         check_header({"panel.moisture_percent.sd": 1e9}, "x.csv")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "taken"),
+    [
+        ("run", "2026-01\u202e-exe", False),
+        ("run", "lab\u200b-1", False),
+        ("run", "\ufefflab-1", False),
+        ("panel.material", "MDF\u00ad", False),
+        ("recipe", "16 mm\u2066", False),
+        ("panel.material", "\x1b[31mMDF", False),
+        ("remark", "line one\n\tline two", True),
+        ("remark", "\u0645\u06cc\u200c\u062e\u0648\u0627\u0647\u0645, na\u0308sse", True),
+        ("run", "Prüfung-7 (Süd)", True),
+    ],
+)
+def test_a_name_holds_no_character_that_nobody_sees_a_remark_may(key, value, taken):
+    """A name is compared, and typed again from what is seen."""
+    header = {"panel.material": "MDF", key: value}
+    if taken:
+        check_header(header, "run.csv")
+        return
+    with pytest.raises(InputError) as refused:
+        check_header(header, "run.csv")
+    assert refused.value.args[0].arguments["what"].code == "header-unseen"
+    assert key in str(refused.value)
+    assert not any(ord(character) > 0x2000 or character == "\x1b" for character in str(refused.value))

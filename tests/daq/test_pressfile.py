@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq import shared_files
 from daq.press.header import panel_of
 from daq.press.press_file import label_of, parse_press, press_for_run, read_press
 from daq.records import InputError, Run
@@ -183,3 +184,12 @@ def test_a_press_prints_on_one_screen() -> None:
 def test_unknown_material_needs_its_constants() -> None:
     with pytest.raises(InputError, match=r"panel\.density_kg_m3 is missing and material 'cork' is not in the"):
         panel_of(run(panel__material="cork", panel__thickness_mm=16.0, panel__initial_temperature_C=20.0))
+
+
+@pytest.mark.parametrize(("line", "most"), [("area_m2 = 1e9", 10000), ("side_loss_W_m2K = 1e9", 250)])
+def test_an_area_or_a_loss_that_no_press_has_is_refused_with_the_limit(tmp_path, line, most):
+    path = tmp_path / "press.toml"
+    text = (shared_files() / "presses/lab.toml").read_text().replace("area_m2 = 0.25\n", "")
+    path.write_text(text.replace("[press]\n", f"[press]\n{line}\n"))
+    with pytest.raises(InputError, match=rf"press\.{line.split()[0]} = 1000000000.0: .*{most}"):
+        read_press(path)

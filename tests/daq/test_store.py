@@ -816,6 +816,7 @@ def test_an_interrupted_run_stays_interrupted_and_a_file_of_an_open_one_becomes_
         ("run", "..", "must be a name"),
         ("run", "a\nb", "line breaks"),
         ("run", "a\0b", "must be a name"),
+        ("run", "a\u202eb", "characters that nobody sees"),
         ("run", " a", "blanks at its ends"),
         ("run", "a" * 201, "1 to 200 bytes"),
         ("run", "é" * 101, "1 to 200 bytes"),

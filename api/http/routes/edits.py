@@ -153,8 +153,9 @@ def put_next_panel(
     name = _one_press(store, press)
     if reserved := {"run", "remark", "recipe", VERDICT} & set(change.header):
         raise ProblemError(422, say("api-header-key-fixed", key=min(reserved)))
+    where = say("place-press", press=name)
+    check_header({"recipe": change.recipe}, where)
     if change.header:
-        where = say("place-press", press=name)
         check_keys(change.header, change.header, where)
         if text := store.presses().get(name, ""):
             overridden(parse_press(text, where), change.header, where)
