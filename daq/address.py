@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_plus
 
+SECRET = "secret"
+"""Annotates a key of a table that holds a secret, or names a file with one: its table's wrong keys may, too."""
 _HIDDEN = "***"
 _USER = re.compile(r"(\w:/+[^:@\n]*):[^\n]*@")
 """A user and what follows up to the line's last ``@``: a password may hold any sign, an ``@`` too."""

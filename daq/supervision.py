@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Generic, TypeVar
 
 from daq.words import Message, say, spoken
@@ -161,7 +161,8 @@ class SupervisedThread:
             try:
                 self._work()
             except BaseException as error:  # noqa: BLE001 - whatever it is, the work must go on
-                self.failed(error)
+                with suppress(Exception):  # as without memory: the next fault is reported
+                    self.failed(error)
                 self._ending.wait(RESTART_S)
             else:
                 return

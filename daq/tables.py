@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from daq.address import hidden, masked
+from daq.address import SECRET, hidden, masked
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -239,17 +239,13 @@ _WRAPPED = ("function-", "constrained-", "tuple[")
 """What pydantic puts among keys for a value that may be of several kinds: no key of anybody's file."""
 
 
-_SECRETIVE = frozenset({"url", "password_file", "address_file"})
-"""Keys of tables in which a text under a key that nothing knows may be a password: no refusal shows it."""
-
-
 def _fault(item: Any, model: type[BaseModel]) -> Message:
     loc = [str(p) for p in item["loc"] if p not in _BRANCHES and not str(p).startswith(_WRAPPED)]
     key, value, kind = ".".join(loc), item.get("input"), item["type"]
     unknown = kind == "extra_forbidden"
     known = fields_at(model, loc[:-1]) if unknown else ()
     why = unknown_key(loc[-1], known) if unknown else why_of(item)
-    if unknown and isinstance(value, str) and _SECRETIVE.intersection(known):
+    if unknown and isinstance(value, str) and _holds_secrets(_table_at(model, loc[:-1])):
         return say("at-key", key=key, what=why)
     if not key:
         return why
@@ -303,14 +299,24 @@ _KINDS = {
 
 def fields_at(model: type[BaseModel], path: Iterable[str]) -> tuple[str, ...]:
     """Return the keys a table may hold, by its place in the tables of a model; empty where the keys are free."""
+    here = _table_at(model, path)
+    return () if here is None else tuple(field.alias or name for name, field in here.model_fields.items())
+
+
+def _holds_secrets(model: type[BaseModel] | None) -> bool:
+    """Whether a text under a key that nothing knows may be a secret: a key of its table leads to one."""
+    return model is not None and any(SECRET in field.metadata for field in model.model_fields.values())
+
+
+def _table_at(model: type[BaseModel], path: Iterable[str]) -> type[BaseModel] | None:
     here: type[BaseModel] | None = model
     for key in path:
         if here is None:
-            return ()
+            return None
         names = {field.alias or name: field.annotation for name, field in here.model_fields.items()}
         if key in names:
             here = _model_in(names[key])  # a number or a free name stays in the table it chooses from
-    return () if here is None else tuple(field.alias or name for name, field in here.model_fields.items())
+    return here
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:

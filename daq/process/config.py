@@ -32,7 +32,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from daq.address import Address, text_without
+from daq.address import SECRET, Address, text_without
 from daq.drivers.settings import LoggerSettings
 from daq.press.header import check_header
 from daq.press.press_file import BoundaryKind, Press, overridden, read_press
@@ -54,7 +54,7 @@ class _Table(BaseModel):
 class StoreSettings(_Table):
     """``[store]``."""
 
-    url: Address = Address("kerntemp.sqlite")
+    url: Annotated[Address, SECRET] = Address("kerntemp.sqlite")
     """File path (relative to the configuration), ``sqlite:///path`` or ``postgresql://user@host/name``."""
     buffer: Path | None = None
     """Local file that takes the scans while a database server is away. None: beside the configuration."""
@@ -125,7 +125,7 @@ class ServerSettings(_Table):
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = PORT
-    tokens: Path | None = None
+    tokens: Annotated[Path | None, SECRET] = None
     """File with the tokens of readers and writers. None: reading on loopback only."""
 
 
@@ -150,7 +150,7 @@ class MqttSettings(_Table):
     client: str = Field(default="kerntemp", min_length=1)
     """Client identifier; give each machine its own."""
     user: str = ""
-    password_file: Path | None = None
+    password_file: Annotated[Path | None, SECRET] = None
     """File with the user's password in its first line."""
     tls: bool = False
     certificates: Path | None = None
@@ -164,7 +164,7 @@ class OpcuaSettings(_Table):
     port: Annotated[int, Field(ge=0, le=65535)] = 4840
     certificate: Path | None = None
     """The server's certificate, DER or PEM; with `key` it switches signing and encryption on."""
-    key: Path | None = None
+    key: Annotated[Path | None, SECRET] = None
 
 
 class EmailSettings(_Table):
@@ -177,7 +177,7 @@ class EmailSettings(_Table):
     to: tuple[Annotated[str, Field(pattern=r"^[^\s@]+@[^\s@]+$")], ...] = Field(min_length=1)
     security: Literal["none", "starttls", "tls"] = "none"
     user: str = ""
-    password_file: Path | None = None
+    password_file: Annotated[Path | None, SECRET] = None
     """File with the user's password in its first line."""
     language: str = "en"
 
@@ -185,7 +185,7 @@ class EmailSettings(_Table):
 class WebhookSettings(_Table):
     """``[webhook]``: alarms as JSON to another system, sent by `kerntemp serve`."""
 
-    address_file: Path
+    address_file: Annotated[Path, SECRET]
     """File with the receiver's http or https address in its first line: such addresses hold secrets."""
 
 

@@ -133,6 +133,8 @@ def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, messa
         ('[email]\nhost = "m"\nsender = "a@b.c"\nto = ["a@b.c"]', "pasword_file", "password_file"),
         ('[webhook]\naddress_file = "hook"', "address", "address_file"),
         ("[store]", "password", ""),
+        ("[server]", "token", "tokens"),
+        ('[opcua]\nhost = "m"', "private_key", ""),
     ],
 )
 def test_a_secret_that_was_put_into_the_configuration_itself_is_in_no_refusal(folder, table, key, meant):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from daq import supervision
 from daq.process.config import load_config
 from daq.process.notify import Notifier
 from daq.recording import acquisition, press_line, recorder, run_keeper
@@ -192,6 +193,33 @@ def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_
         (alarm,) = [e.message for e in opened.journal(level="alarm").items]
         inner = say("unexpected-error", kind="Injected", error=say("plain-text", text="the writer"))
         assert alarm == say("thread-failed", thread="writer", why=inner)
+
+
+def test_a_thread_whose_fault_cannot_even_be_put_into_words_goes_on_and_reports_the_next(monkeypatch):
+    """As where no memory is left: the report fails as the work did."""
+    reports, journalled, begun = [], [], []
+    words = supervision.unexpected
+
+    def unexpected_once(error):
+        reports.append(error)
+        if len(reports) < 3:
+            raise MemoryError
+        return words(error)
+
+    monkeypatch.setattr(supervision, "unexpected", unexpected_once)
+    monkeypatch.setattr(supervision, "RESTART_S", 0.0)
+
+    def work():
+        begun.append(None)
+        if len(begun) <= 3:
+            raise MemoryError(f"{len(begun)}")
+
+    thread = SupervisedThread("pages", work, journalled.append)
+    thread.start()
+    wait_until(lambda: not thread.alive)
+    assert len(begun) == 4
+    fault = words(MemoryError("3"))
+    assert journalled == [say("thread-failed", thread="pages", why=fault)]
 
 
 def reported_first(beats, what):
