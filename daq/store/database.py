@@ -7,6 +7,7 @@ person finds in the store is the SQL in the file, comments included; nothing her
 
 from __future__ import annotations
 
+import logging
 import re
 import sqlite3
 import threading
@@ -289,6 +290,7 @@ class Database:
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":
+            logging.getLogger("psycopg").setLevel(logging.CRITICAL)  # what it raises is reported in our own words
             engine = create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(self.url, busy_s))
             event.listen(engine, "do_connect", _connect_watched)
             return engine

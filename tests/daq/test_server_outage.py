@@ -16,7 +16,7 @@ from pathlib import Path
 import psycopg
 import pytest
 import time_machine
-from sqlalchemy import text
+from sqlalchemy import event, text
 from sqlalchemy.engine import make_url
 
 from daq.records import Channel
@@ -324,3 +324,16 @@ def test_what_a_session_said_is_timed_when_it_was_said(store_url, tmp_path):
         wait_until(lambda: outbox.waiting == 0)
         outbox.close()
         assert store.journal().items[0].utc == BEGAN
+
+
+def test_a_server_lost_in_the_midst_of_many_rows_is_reported_once_in_our_own_words(
+    postgresql_url, tmp_path, caplog
+):
+    with gated(postgresql_url) as (gate, url):
+        gate.open()
+        with open_store(url) as store:
+            key = store.register_press("lab", CHANNELS)
+            event.listen(store.database.engine, "before_cursor_execute", lambda *given: given[-1] and gate.shut())
+            with pytest.raises(StoreUnavailable):
+                store.write_batches([batch(key, n) for n in range(500)])
+    assert not [line for line in caplog.records if line.name.startswith("psycopg")]
