@@ -372,8 +372,10 @@ class Moments:
     opened_s: float = float("nan")
     """Middle of the opening ramp. [s]"""
     removed_s: float = float("nan")
-    """When the panel was taken out. [s]"""
+    """When the panel was taken out, or the press closed on it again: what follows is no part of a pressing. [s]"""
     ramp_s: float = 0.5
     """How long closing takes. [s]"""
     source: EventSource = EventSource.TEMPERATURES
     """What showed closing and opening."""
+    closed_again: bool = False
+    """Whether the pressing ended so."""

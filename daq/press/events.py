@@ -29,7 +29,7 @@ import numpy as np
 
 from daq.press.detector import ONE_STEP, OPENS_AFTER_S, UNSEEN_BEFORE_S, PressEventDetector
 from daq.press.faces import columns_of, face_of
-from daq.press.moments import FaceHistory, Placed, insertion_moment, place_moment, usual_lag
+from daq.press.moments import REACH_S, FaceHistory, Placed, insertion_moment, place_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import CLOSED, SILENT_S, closed_of
 from daq.records import Array, EventSource, Moments, PressEvent, PressEventKind, Run
@@ -51,6 +51,8 @@ _ENDS_LIFTED_S = 15.0
 """A run that ends so soon after the panel seems to have left its plate ends with the removal. [s]"""
 _PLACED_BEFORE_S, _PLACED_AFTER_S = 15.0, 0.6
 """Rows from and to so long before and after an event was noticed place it. [s]"""
+_CLOSES_WITHIN_S = 1.0
+"""A press takes so long to close at most (contract). [s]"""
 _SCAN_S = 0.35
 """Between the scans of a stored run the machine looks at: enough to notice; all place the moment. [s]"""
 
@@ -60,9 +62,10 @@ def find_moments(run: Run, press: Press) -> Moments:
 
     The column ``closed``, or what the press file names instead, decides where it holds values: closed from
     the time of its first 1, open from the first 0 after it. Else the faces' temperatures do, also for a
-    moment that lies where the column is empty for longer than `SILENT_S`. A moment that did not happen is
-    NaN; without any panel column and without such a wire all are, and `source` says ``unknown``. In a press
-    of one state the panel is there from the first row.
+    moment that lies where the column is empty for longer than `SILENT_S`. Where the press closes on the same
+    panel again, the pressing ends. A moment that did not happen is NaN; without any panel column and without
+    such a wire all are, and `source` says ``unknown``. In a press of one state the panel is there from the first
+    row.
     """
     if not press.has_states:
         return Moments(inserted_s=float(run.time_s[0]), source=EventSource.ONE_STATE)
@@ -75,7 +78,7 @@ def find_moments(run: Run, press: Press) -> Moments:
     if not (np.isfinite(top).any() or np.isfinite(bottom).any() or switched):
         return Moments(source=EventSource.UNKNOWN)
     plate = face_of(run, tuple(n for n in names if n in columns.platens))
-    found = _coarse(run.time_s, top, bottom, plate, switch if switched else None, press)
+    found, again = _coarse(run.time_s, top, bottom, plate, switch if switched else None, press)
     placed = _refined(found, run.time_s, top, bottom, plate)
     moments = {kind: placed[kind].middle if kind in placed else at for kind, at in found.items()}
     source, ramp = EventSource.TEMPERATURES, Moments().ramp_s
@@ -84,6 +87,9 @@ def find_moments(run: Run, press: Press) -> Moments:
         source = wire
     elif PressEventKind.CLOSED in placed:
         ramp = placed[PressEventKind.CLOSED].ramp
+    if again is not None:
+        began = _began_to_close(again, run.time_s, top, bottom, plate)
+        moments[PressEventKind.REMOVED] = max(began, moments[PressEventKind.OPENED])
     closed = moments.get(PressEventKind.CLOSED, math.nan)
     inserted = moments.get(PressEventKind.INSERTED, math.nan)
     if not math.isfinite(inserted) or closed - inserted <= _CONCLUDED_S:
@@ -95,13 +101,17 @@ def find_moments(run: Run, press: Press) -> Moments:
         removed_s=moments.get(PressEventKind.REMOVED, math.nan),
         ramp_s=ramp,
         source=source,
+        closed_again=again is not None,
     )
 
 
 def _coarse(
     times: Array, top: Array, bottom: Array, plate: Array, switch: Array | None, press: Press
-) -> dict[PressEventKind, float]:
-    """Return when each event was noticed by the causal machine, at about 3 scans a second."""
+) -> tuple[dict[PressEventKind, float], float | None]:
+    """Return when each event was noticed by the causal machine, at about 3 scans a second.
+
+    And when it noticed, if it did, that the press closes on the same panel again.
+    """
     detector = PressEventDetector(press, placing=False)
     columns = columns_of(press)
     stand_in = {"top": _example(columns.top), "bottom": _example(columns.bottom)}
@@ -117,11 +127,30 @@ def _coarse(
             values[CLOSED] = float(switch[i])
         for event in detector.update(time_s, values):
             if event.kind is PressEventKind.INSERTED and PressEventKind.CLOSED in found:
-                return found
+                return found, None
+            if _closes_again(found, event):
+                return found, event.noticed_s
             _keep(found, event)
     if detector.left_plate_s is not None and times[-1] - detector.left_plate_s < _ENDS_LIFTED_S:
         found[PressEventKind.REMOVED] = detector.left_plate_s  # the run ends with the panel's removal
-    return found
+    return found, None
+
+
+def _closes_again(found: Mapping[PressEventKind, float], event: PressEvent) -> bool:
+    """Whether the press closes on a panel that it has pressed before; faces that fall and warm show no opening."""
+    if event.kind is not PressEventKind.CLOSED or PressEventKind.REMOVED in found:
+        return False
+    open_s = event.monotonic_s - found.get(PressEventKind.OPENED, math.inf)
+    return open_s > (0.0 if event.source.is_wire else REACH_S)
+
+
+def _began_to_close(noticed: float, times: Array, top: Array, bottom: Array, plate: Array) -> float:
+    """Return when a closing that was noticed had not begun yet. [s]"""
+    near = _window(times, noticed)
+    hot = float(np.nanmedian(plate[near])) if np.isfinite(plate[near]).any() else math.nan
+    faces = FaceHistory(times[near], top[near], bottom[near], hot)
+    placed = place_moment(PressEventKind.CLOSED, faces, noticed, -math.inf, None)
+    return (noticed if placed is None else min(noticed, placed.middle)) - _CLOSES_WITHIN_S
 
 
 def _keep(found: dict[PressEventKind, float], event: PressEvent) -> None:

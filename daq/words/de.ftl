@@ -853,6 +853,7 @@ fit-cells-jump =
         [one] Kanal { $column }: { $count } einzelner Wert springt um mehr als { $kelvin } K und bleibt weg
        *[other] Kanal { $column }: { $count } einzelne Werte springen um mehr als { $kelvin } K und bleiben weg
     }
+fit-closed-again = ab { NUMBER($at, minimumFractionDigits: 1, maximumFractionDigits: 1) } s schließt die Presse noch einmal über derselben Platte: Zeilen von da an bleiben weg
 fit-coefficient-unknown = { $name } ist { $verdict }: { $reason }
 fit-coefficient-unused = { $run }: Durch ihre Kopfdaten bleibt der Koeffizient '{ $name }' der Pressendatei ungenutzt; eine Versuchsreihe braucht jeden Koeffizienten in jeder Pressung; diese Pressung einzeln anpassen
 fit-fixed = in der Pressendatei festgelegt

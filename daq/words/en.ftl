@@ -853,6 +853,7 @@ fit-cells-jump =
         [one] channel { $column }: { $count } single cell jumps by more than { $kelvin } K and is left out
        *[other] channel { $column }: { $count } single cells jump by more than { $kelvin } K and are left out
     }
+fit-closed-again = from { NUMBER($at, minimumFractionDigits: 1, maximumFractionDigits: 1) } s on the press closes on the same panel again: rows from there on are left out
 fit-coefficient-unknown = { $name } is { $verdict }: { $reason }
 fit-coefficient-unused = { $run }: its header leaves coefficient '{ $name }' of the press file without use; a campaign needs every coefficient in every run; fit this run separately
 fit-fixed = fixed by the press file

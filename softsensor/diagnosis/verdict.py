@@ -87,7 +87,7 @@ from softsensor.diagnosis.where import MOST, stretches, where_row
 from softsensor.effects import Effect, find_effect
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.run_checks import load_remarks
-from softsensor.signals.digest import Digest, screened_digest
+from softsensor.signals.digest import Digest, Whitened, screened_digest
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.screen import ChannelFault, recurring
 from softsensor.signals.spikes import Spikes
@@ -163,6 +163,12 @@ def _screened(press: Press, runs: Sequence[Run]) -> tuple[_Readings, list[Digest
     return _Readings(press, runs, faults, spikes, np.array(rim)), list(digests)
 
 
+def _closed_again(data: Sequence[Whitened]) -> list[Message]:
+    pressed = [(d.digest.run.name, d.digest.moments) for d in data]
+    again = [(run, say("fit-closed-again", at=m.removed_s)) for run, m in pressed if m.closed_again]
+    return [say("at-place", place=run, what=what) for run, what in again]
+
+
 def _lacking_loads(press: Press, runs: Sequence[Run]) -> list[Message]:
     return [spoken(remark) for run in runs for remark in load_remarks(press_for_run(press, run), run)]
 
@@ -214,6 +220,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
             *notes(runs, faults, rounds),
             *spike_notes(readings.spikes),
             *rim_notes(readings.rim),
+            *_closed_again(stages[0].data),
             *_lacking_loads(press, runs),
         ),
     )

@@ -37,6 +37,8 @@ def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
     """
     gaps = gaps_at_moments(case.run.time_s, moments, signals.period_s)
     record = [f.message for f in signals.findings] + [g.message for g in gaps]
+    if moments.closed_again:
+        record.append(say("fit-closed-again", at=moments.removed_s))
     loads = [spoken(remark) for remark in load_remarks(case.press, case.run)]
     return record + start_remarks(case, signals, moments) + loads
 

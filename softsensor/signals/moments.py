@@ -57,13 +57,15 @@ def moments_seen(run: Run, press: Press) -> Moments:
     same = abs(by_faces.inserted_s - wired.inserted_s) < SAME_INSERTION_S and by_faces.inserted_s < wired.closed_s
     opened_s = _between(by_faces.opened_s, opened, wired.opened_s)
     early = by_faces.removed_s < opened_s  # seen while the press eased off
-    removed_s = wired.removed_s if early else by_faces.removed_s
+    again = by_faces.closed_again or wired.closed_again  # on the same panel: the wire knows
+    removed_s = wired.removed_s if early or again else by_faces.removed_s
     return replace(
         by_faces,
         closed_s=_between(by_faces.closed_s, closed, wired.closed_s),
         opened_s=opened_s,
         inserted_s=by_faces.inserted_s if same else wired.inserted_s,
         removed_s=max(removed_s, opened_s),
+        closed_again=wired.closed_again,
     )
 
 

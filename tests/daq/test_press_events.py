@@ -188,6 +188,30 @@ def test_a_single_noisy_sensor_that_rises_after_the_opening_does_not_close_the_p
     assert [e.kind.value for e in events] == IN_ORDER
 
 
+def pressed_again(run, truth, open_s):
+    """The run until so long after the opening, then its pressing once more on the hot panel; when that is."""
+    t, m = run.time_s, truth.moments
+    first = t < m.opened_s + open_s
+    again = (t > m.closed_s - 0.3) & (t < m.opened_s - 1.0)
+    columns = {n: np.concatenate([c[first], np.maximum(c[again], c[first][-1])]) for n, c in run.columns.items()}
+    if "closed" in columns:
+        columns["closed"] = np.concatenate([run.columns["closed"][rows] for rows in (first, again)])
+    start = t[first][-1] + 0.1
+    times = np.concatenate([t[first], start + t[again] - t[again][0]])
+    return Run(run.name, run.header, times, columns), start + 0.3
+
+
+@pytest.mark.parametrize(("closed_column", "open_s"), [(True, 2.5), (True, 8.0), (False, 8.0)])
+def test_a_pressing_ends_where_the_press_closes_on_the_same_panel_again(closed_column, open_s):
+    run, truth = one_run(closed_column=closed_column)
+    twice, closed_s = pressed_again(run, truth, open_s)
+    found, once = find_moments(twice, PRESS), find_moments(run, PRESS)
+    assert found.closed_again
+    assert (found.closed_s, found.opened_s) == pytest.approx((once.closed_s, once.opened_s), abs=0.05)
+    assert closed_s - 1.5 < found.removed_s < closed_s - 0.3
+    assert not once.closed_again
+
+
 def test_a_limit_switch_goes_before_the_temperatures():
     run, _ = one_run(closed_column=True)
     late = Run("late", {}, run.time_s, {**run.columns, "closed": np.roll(run.columns["closed"], 12)})

@@ -10,10 +10,12 @@ from daq.records import Moments
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.fitting.one_run import make_problem
+from softsensor.diagnosis.verdict import diagnose
+from softsensor.fitting.one_run import fit_run, make_problem
 from softsensor.fitting.remarks import remarks
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.moments import moments_of
+from tests.daq.test_press_events import pressed_again
 
 PRESS = parse_press(press_toml())
 RIG = """
@@ -110,3 +112,20 @@ def test_load_that_is_there_is_not_talked_about(make_rig):
     run = replace(run, columns={**run.columns, "a": 20.0 + 0.9 * t})
     problem = make_problem(model, run, Moments(inserted_s=0.0))
     assert remarks(problem.case, problem.signals, Moments(inserted_s=0.0)) == []
+
+
+@pytest.mark.parametrize("closed_column", [True, False])
+def test_rows_after_the_press_closed_on_the_same_panel_again_are_left_out_and_that_is_told(closed_column):
+    plan = Plan(rate_hz=10.0, closed_column=closed_column)
+    run, truth = make_campaign(42, 1, plan=plan)[0]
+    twice, closed_s = pressed_again(run, truth, 8.0)
+    before = twice.at_rows(twice.time_s < moments_of(twice, PRESS).removed_s)
+    fitted, known = (fit_run(ThermalModel(PRESS), r, moments_of(r, PRESS)) for r in (twice, before))
+    assert fitted.met
+    for name in ThermalModel(PRESS).guesses:
+        assert fitted.values[name] == pytest.approx(known.values[name], rel=0.05)
+    (told,) = [w for w in fitted.warnings if w.code == "fit-closed-again"]
+    assert abs(told.arguments["at"] - closed_s) < 1.6
+    found = diagnose(PRESS, [twice, make_campaign(43, 1, plan=plan)[0][0]])
+    assert [w.arguments["what"].code for w in found.warnings] == ["fit-closed-again"]
+    assert found.base.rmse_K < 2.0 * found.noise_floor_K
