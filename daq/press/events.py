@@ -29,7 +29,15 @@ import numpy as np
 
 from daq.press.detector import ONE_STEP, OPENS_AFTER_S, UNSEEN_BEFORE_S, PressEventDetector
 from daq.press.faces import columns_of, face_of
-from daq.press.moments import REACH_S, FaceHistory, Placed, insertion_moment, place_moment, usual_lag
+from daq.press.moments import (
+    CLOSING_RAMPS_S,
+    REACH_S,
+    FaceHistory,
+    Placed,
+    insertion_moment,
+    place_moment,
+    usual_lag,
+)
 from daq.press.press_file import Press
 from daq.press.wires import CLOSED, SILENT_S, closed_of
 from daq.records import Array, EventSource, Moments, PressEvent, PressEventKind, Run
@@ -51,8 +59,6 @@ _ENDS_LIFTED_S = 15.0
 """A run that ends so soon after the panel seems to have left its plate ends with the removal. [s]"""
 _PLACED_BEFORE_S, _PLACED_AFTER_S = 15.0, 0.6
 """Rows from and to so long before and after an event was noticed place it. [s]"""
-_CLOSES_WITHIN_S = 1.0
-"""A press takes so long to close at most (contract). [s]"""
 _SCAN_S = 0.35
 """Between the scans of a stored run the machine looks at: enough to notice; all place the moment. [s]"""
 
@@ -145,12 +151,12 @@ def _closes_again(found: Mapping[PressEventKind, float], event: PressEvent) -> b
 
 
 def _began_to_close(noticed: float, times: Array, top: Array, bottom: Array, plate: Array) -> float:
-    """Return when a closing that was noticed had not begun yet. [s]"""
+    """Return when a closing that was noticed had not begun yet, however long it took. [s]"""
     near = _window(times, noticed)
     hot = float(np.nanmedian(plate[near])) if np.isfinite(plate[near]).any() else math.nan
     faces = FaceHistory(times[near], top[near], bottom[near], hot)
     placed = place_moment(PressEventKind.CLOSED, faces, noticed, -math.inf, None)
-    return (noticed if placed is None else min(noticed, placed.middle)) - _CLOSES_WITHIN_S
+    return (noticed if placed is None else min(noticed, placed.middle)) - float(CLOSING_RAMPS_S[-1])
 
 
 def _keep(found: dict[PressEventKind, float], event: PressEvent) -> None:

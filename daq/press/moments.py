@@ -28,7 +28,7 @@ STEP_S = 0.02
 """Of the grids of onset and time: small beside a scan at 20 Hz. Set by hand, 2026-11. [s]"""
 _CONTACTS = np.geomspace(0.3, 8.0, 15)
 """Contact coefficient over the panel's effusivity; see `_TYPICAL_CONTACT`. [1/√s]"""
-_CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
+CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
 """A press closes in 0.2 to 1 s (contract, section 2), all lengths alike; with some room beyond. [s]"""
 _OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
 """It opens more quickly than it closes. Set by hand, 2026-11. [s]"""
@@ -88,7 +88,7 @@ def _contact_table() -> Array:
     time = STEP_S * np.arange(int(REACH_S / STEP_S) + 1)
     edges = 2.0 / np.sqrt(np.pi) * np.sqrt(STEP_S * np.arange(len(time) + 1))
     weights = np.diff(edges)
-    strength = _CONTACTS[:, None, None] * np.clip(time / _CLOSING_RAMPS_S[None, :, None], 0.0, 1.0)
+    strength = _CONTACTS[:, None, None] * np.clip(time / CLOSING_RAMPS_S[None, :, None], 0.0, 1.0)
     rise = np.zeros(strength.shape)
     flux = np.zeros(strength.shape)
     for n in range(1, len(time)):
@@ -168,12 +168,12 @@ def closing_moment(
     lag = no_lag() if lag is None else lag
     prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
     # a ramp of any length is as likely as another
-    misfit = np.full((len(LAGS_S), len(_CONTACTS), len(_CLOSING_RAMPS_S), len(onsets)), _NEVER)
+    misfit = np.full((len(LAGS_S), len(_CONTACTS), len(CLOSING_RAMPS_S), len(onsets)), _NEVER)
     for i in np.flatnonzero(lag < lag.min() + _UNLIKELY):
         model = _contact_table()[i]  # contact, ramp, time since the onset
         squares = (model * model) @ counts - 2.0 * (model @ sums) + share @ share
         misfit[i] = squares / error**2 + prior + lag[i]
-    return _posterior(misfit, onsets, _CLOSING_RAMPS_S, lag)
+    return _posterior(misfit, onsets, CLOSING_RAMPS_S, lag)
 
 
 def _by_place(times: Array, onsets: Array, values: Array) -> tuple[Array, Array]:

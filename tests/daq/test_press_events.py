@@ -208,7 +208,7 @@ def test_a_pressing_ends_where_the_press_closes_on_the_same_panel_again(closed_c
     found, once = find_moments(twice, PRESS), find_moments(run, PRESS)
     assert found.closed_again
     assert (found.closed_s, found.opened_s) == pytest.approx((once.closed_s, once.opened_s), abs=0.05)
-    assert closed_s - 1.5 < found.removed_s < closed_s - 0.3
+    assert closed_s - 1.7 < found.removed_s < closed_s - 0.3
     assert not once.closed_again
 
 
