@@ -64,6 +64,7 @@ calibration file not made yet  ``logger X: values are not corrected, X.toml is n
                                --write makes it`` (warning); it is taken over once it is there
 configuration changed          ``it takes effect between runs``, ``the changed configuration is in force`` (info)
 configuration wrong            file, key and value; ``recording goes on with the previous configuration`` (warning)
+configuration hangs            ``reading FILE, or a file it names, has stalled``, in /health; recording goes on
 =============================  ==================================================================================
 """
 
