@@ -2215,6 +2215,7 @@ page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesag
 page-core-behind = Der Softsensor hat die letzten { $time } der Messwerte nicht ausgewertet: die Kurve des Kerns endet davor.
 page-core-foreseen = Kern, Vorhersage bei geschlossener Presse
 page-cure = Aushärtung, weniger gehärtete Seite
+page-curves-missing = Die Kurven dieser Pressung lassen sich nicht laden: { $why }
 page-energy = Aufgenommene Wärme
 page-faces-and-platens = Plattenflächen und Heizplatten
 page-grade-glossy = glänzend

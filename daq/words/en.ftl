@@ -2202,6 +2202,7 @@ page-chart-now-label = Temperatures of the pressing over time, with the predicte
 page-core-behind = The live sensor has not processed the last { $time } of the readings: the core's curve ends before them.
 page-core-foreseen = Core, forecast if the press stays closed
 page-cure = Cure, less cured face
+page-curves-missing = The curves of this pressing cannot be loaded: { $why }
 page-energy = Heat taken up
 page-faces-and-platens = Faces and platens
 page-grade-glossy = glossy

@@ -181,10 +181,14 @@ def test_before_the_first_estimate_no_empty_axes_stand_on_the_wall_and_no_pressi
     feed.shares, feed.pause_s = (0.0, 0.001, 0.999), 0.02
     writer = threading.Thread(target=feed.pressing, args=(60_000,), daemon=True)
     writer.start()
-    page.route("**/samples*", lambda route: route.abort())  # on their way
+    page.route("**/samples*", lambda route: route.abort())
     page.goto(server.url + "#/now")
     expect(page.locator("h2", has_text="Running pressing lab-0000000")).to_be_visible()
+    expect(page.get_by_test_id("lacking")).to_contain_text("cannot be loaded")
+    expect(page.get_by_test_id("channels")).to_contain_text("platen_top")
+    page.screenshot(path=tmp_path / "now.png")
     page.unroute("**/samples*")
+    expect(page.get_by_test_id("lacking")).to_be_hidden()
     page.goto(server.url + "#/wall")
     expect(page.get_by_test_id("answer")).to_have_text("No prediction yet")
     expect(page.locator(".wall-chart .u-wrap")).to_have_count(1)

@@ -88,6 +88,7 @@ class LivePress {
     this.title = el("h2", {});
     [this.canvas, this.faces, this.keys, this.faceKeys] = [0, 1, 2, 3].map(() => el("div", {}));
     this.behind = el("p", { class: "small warn-text", role: "status", hidden: true, "data-testid": "behind" });
+    this.lacking = el("p", { class: "small warn-text", role: "status", hidden: true, "data-testid": "lacking" });
     this.warning = el("div", { class: "warning", role: "status", hidden: true });
     this.old = el("p", { class: "banner", role: "status", hidden: true });
     this.place.replaceChildren(this.old,
@@ -101,7 +102,7 @@ class LivePress {
           el("div", { class: "beside" }, this.sketch, this.list),
           el("p", { class: "small" }, el("a", { href: "#/wall" }, text("page-wall")))),
         this.charts = el("section", { class: "card", "aria-label": text("page-running-pressing") },
-          el("div", { class: "head" }, this.title),
+          el("div", { class: "head" }, this.title), this.lacking,
           this.curves = el("div", { hidden: true }, this.canvas, this.keys, this.behind,
             el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys))),
       this.panels = el("div", { class: "pair" }),
@@ -214,8 +215,9 @@ class LivePress {
       get(`/runs/${encodeURIComponent(run)}/samples`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}/estimates`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}`),
-    ]).catch((error) => { this.shown = undefined; throw error; }); // so that the next poll asks again
-    if (this.closed || this.shown !== run) return;
+    ]).catch((error) => this.lacksCurves(error));
+    if (!detail || this.closed || this.shown !== run) return;
+    this.lacking.hidden = true;
     this.columns = Object.keys(samples.columns).filter((name) => name !== "closed");
     this.phases = detail.phases;
     this.notes = notesOf(detail);
@@ -223,6 +225,14 @@ class LivePress {
     this.reached = estimates.time_s.at(-1) ?? samples.time_s[0];
     this.rows = merge(samples, estimates, this.columns);
     this.draw();
+  }
+
+  // The core and the channels stand without them; the next poll asks again.
+  lacksCurves(error) {
+    this.shown = undefined;
+    this.lacking.hidden = false;
+    this.lacking.textContent = text("page-curves-missing", { why: error.message });
+    return [];
   }
 
   draw() {
