@@ -119,14 +119,31 @@ def log_cut(path: Path, size_before: int) -> tuple[bool, int]:
     return cut, size_before if cut else size
 
 
-def changes_of(path: Path) -> int | None:
-    """Return how often an SQLite file was changed, as its header counts: it never goes back. None: unknown now."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_COUNTER.stop)
-    except OSError:
-        return None
-    return int.from_bytes(head[_COUNTER], "big") if len(head) == _COUNTER.stop else None
+class ChangeCount:
+    """How often an SQLite file was changed, as its header counts: it never goes back while SQLite alone writes.
+
+    Read through a descriptor that stays open as long as the held connection: whoever closes one of a file ends all
+    locks that the process has on it, SQLite's too. https://www.sqlite.org/howtocorrupt.html (2.2)
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_RDONLY)
+        self._last = 0
+
+    def went_back(self) -> bool:
+        """Whether another state of the file lies in its place."""
+        before = self._last  # asked before the file: a thread beside this one may see a later count
+        try:
+            count = os.pread(self._file, _COUNTER.stop, 0)[_COUNTER]
+        except OSError:
+            return False
+        now = int.from_bytes(count, "big")
+        self._last = max(before, now)
+        return bool(count) and now < before
+
+    def close(self) -> None:
+        """Let go, once this process works with the file no more."""
+        os.close(self._file)
 
 
 def settle(held: sqlite3.Connection) -> bool:

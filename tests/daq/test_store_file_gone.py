@@ -4,6 +4,8 @@ import os
 import random
 import shutil
 import sqlite3
+import subprocess
+import sys
 import threading
 from contextlib import closing
 
@@ -133,6 +135,8 @@ def test_an_older_copy_written_over_the_file_in_its_place_is_told_with_the_scans
                 if chance.random() < 0.02:
                     other.log("info", "sense", say("plain-text", text="x" * 500))
             wait_until(lambda: settled(behind))
+            wait_until(lambda: outbox._beat is None)
+            other.log("info", "sense", say("plain-text", text="after the writer"))  # who copies now meets no one
 
         def settled(behind):
             outbox.beat("record", {"x": behind})  # with a sign of life what the log holds comes into the file
@@ -249,3 +253,24 @@ def test_a_damaged_file_is_told_whatever_words_its_error_has(tmp_path):
         connection.execute("PRAGMA writable_schema=ON")
         connection.execute("UPDATE sqlite_master SET sql = 'CREATE TABLE unable to open'")
     assert damage_of(path).startswith("malformed database schema (locked)")
+
+
+_ANOTHER = """
+import sqlite3, sys
+connection = sqlite3.connect(sys.argv[1])
+connection.execute("SELECT count(*) FROM press").fetchall()
+connection.close()
+"""
+
+
+def test_another_process_that_leaves_the_file_does_not_take_the_log_from_under_the_writer(tmp_path):
+    path = tmp_path / "s.sqlite"
+    log = path.with_name(path.name + "-wal")
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        store.database.hold_on()
+        assert not store.database.moved
+        before = log.stat().st_ino
+        subprocess.run([sys.executable, "-c", _ANOTHER, str(path)], check=True)
+        store.append_scans(key, batch(key, 0).scans)
+        assert log.stat().st_ino == before
