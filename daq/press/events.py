@@ -23,7 +23,8 @@ not; and its steps need what is `pending` and the state at every scan, which no 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -84,7 +85,8 @@ def find_moments(run: Run, press: Press) -> Moments:
     if not (np.isfinite(top).any() or np.isfinite(bottom).any() or switched):
         return Moments(source=EventSource.UNKNOWN)
     plate = face_of(run, tuple(n for n in names if n in columns.platens))
-    found, again = _coarse(run.time_s, top, bottom, plate, switch if switched else None, press)
+    noticed = _coarse(run.time_s, top, bottom, plate, switch if switched else None, press)
+    found, again = noticed.at, noticed.again
     placed = _refined(found, run.time_s, top, bottom, plate)
     moments = {kind: placed[kind].middle if kind in placed else at for kind, at in found.items()}
     source, ramp = EventSource.TEMPERATURES, Moments().ramp_s
@@ -111,43 +113,71 @@ def find_moments(run: Run, press: Press) -> Moments:
     )
 
 
-def _coarse(
-    times: Array, top: Array, bottom: Array, plate: Array, switch: Array | None, press: Press
-) -> tuple[dict[PressEventKind, float], float | None]:
-    """Return when each event was noticed by the causal machine, at about 3 scans a second.
+@dataclass
+class _Noticed:
+    """When the causal machine noticed each event of one pressing. [s]"""
 
-    And when it noticed, if it did, that the press closes on the same panel again.
-    """
+    at: dict[PressEventKind, float] = field(default_factory=dict)
+    again: float | None = None
+    """When, if it did, the press closed on the same panel again."""
+
+    def ends_before(self, event: PressEvent) -> bool:
+        """Keep an event: the first of its kind, but the last opening. Return whether it is of the next panel."""
+        if event.kind is PressEventKind.INSERTED and PressEventKind.CLOSED in self.at:
+            return True
+        if self._closes_again(event):
+            self.again = event.noticed_s
+        elif self.again is None:
+            self._keep(event)
+        elif event.kind is PressEventKind.OPENED:
+            self.again = None  # sooner than a press closes: its switch flickered
+        return False
+
+    def ended(self, time_s: float) -> bool:
+        """Whether the press has been closed on the same panel again for as long as closing takes."""
+        return self.again is not None and time_s - self.again > CLOSING_RAMPS_S[-1]
+
+    def _closes_again(self, event: PressEvent) -> bool:
+        """Whether the press closes on a panel that it has pressed; faces that fall and warm show no opening."""
+        if event.kind is not PressEventKind.CLOSED or PressEventKind.REMOVED in self.at:
+            return False
+        open_s = event.monotonic_s - self.at.get(PressEventKind.OPENED, math.inf)
+        return open_s > (0.0 if event.source.is_wire else REACH_S)
+
+    def _keep(self, event: PressEvent) -> None:
+        if event.kind is PressEventKind.CLOSED:
+            self.at.pop(PressEventKind.OPENED, None)
+        if event.kind is PressEventKind.OPENED or event.kind not in self.at:
+            left = event.kind is PressEventKind.REMOVED  # sure only once the sensors are cold
+            self.at[event.kind] = event.monotonic_s if left else event.noticed_s
+
+
+def _coarse(times: Array, top: Array, bottom: Array, plate: Array, switch: Array | None, press: Press) -> _Noticed:
+    """Return when each event was noticed by the causal machine, at about 3 scans a second."""
     detector = PressEventDetector(press, placing=False)
     columns = columns_of(press)
     stand_in = {"top": _example(columns.top), "bottom": _example(columns.bottom)}
-    found: dict[PressEventKind, float] = {}
-    last = -math.inf
-    for i, time_s in enumerate(times.tolist()):
-        if time_s - last < _SCAN_S and (switch is None or i == 0 or switch[i] == switch[i - 1]):
-            continue
-        last = time_s
+    noticed = _Noticed()
+    for i in _looked_at(times, switch):
         values = {stand_in["top"]: float(top[i]), stand_in["bottom"]: float(bottom[i])}
         values |= {name: float(plate[i]) for name in columns.platens[:1]}
         if switch is not None:
             values[CLOSED] = float(switch[i])
-        for event in detector.update(time_s, values):
-            if event.kind is PressEventKind.INSERTED and PressEventKind.CLOSED in found:
-                return found, None
-            if _closes_again(found, event):
-                return found, event.noticed_s
-            _keep(found, event)
+        events = detector.update(float(times[i]), values)
+        if any(noticed.ends_before(event) for event in events) or noticed.ended(times[i]):
+            return noticed
     if detector.left_plate_s is not None and times[-1] - detector.left_plate_s < _ENDS_LIFTED_S:
-        found[PressEventKind.REMOVED] = detector.left_plate_s  # the run ends with the panel's removal
-    return found, None
+        noticed.at[PressEventKind.REMOVED] = detector.left_plate_s  # the run ends with the panel's removal
+    return noticed
 
 
-def _closes_again(found: Mapping[PressEventKind, float], event: PressEvent) -> bool:
-    """Whether the press closes on a panel that it has pressed before; faces that fall and warm show no opening."""
-    if event.kind is not PressEventKind.CLOSED or PressEventKind.REMOVED in found:
-        return False
-    open_s = event.monotonic_s - found.get(PressEventKind.OPENED, math.inf)
-    return open_s > (0.0 if event.source.is_wire else REACH_S)
+def _looked_at(times: Array, switch: Array | None) -> Iterator[int]:
+    """Yield the rows that the machine looks at: each at which the switch changes, and enough between."""
+    last = -math.inf
+    for i, time_s in enumerate(times.tolist()):
+        if time_s - last >= _SCAN_S or (switch is not None and i and switch[i] != switch[i - 1]):
+            last = time_s
+            yield i
 
 
 def _began_to_close(noticed: float, times: Array, top: Array, bottom: Array, plate: Array) -> float:
@@ -157,15 +187,6 @@ def _began_to_close(noticed: float, times: Array, top: Array, bottom: Array, pla
     faces = FaceHistory(times[near], top[near], bottom[near], hot)
     placed = place_moment(PressEventKind.CLOSED, faces, noticed, -math.inf, None)
     return (noticed if placed is None else min(noticed, placed.middle)) - float(CLOSING_RAMPS_S[-1])
-
-
-def _keep(found: dict[PressEventKind, float], event: PressEvent) -> None:
-    """Keep when an event was noticed: the first of its kind, but the last opening, and none before a closing."""
-    if event.kind is PressEventKind.CLOSED:
-        found.pop(PressEventKind.OPENED, None)
-    if event.kind is PressEventKind.OPENED or event.kind not in found:
-        left = event.kind is PressEventKind.REMOVED  # sure only once the sensors are cold
-        found[event.kind] = event.monotonic_s if left else event.noticed_s
 
 
 def _slow_insertion(times: Array, bottom: Array, closed: float) -> float:

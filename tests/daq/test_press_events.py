@@ -212,6 +212,15 @@ def test_a_pressing_ends_where_the_press_closes_on_the_same_panel_again(closed_c
     assert not once.closed_again
 
 
+def test_a_switch_that_flickers_on_an_open_press_ends_no_pressing():
+    run, truth = one_run(closed_column=True)
+    opened = truth.moments.opened_s + 1.0
+    flicker = (run.time_s > opened) & (run.time_s < opened + 0.3)
+    closed = np.where(flicker, 1.0, run.columns["closed"])
+    found = find_moments(Run("flicker", {}, run.time_s, {**run.columns, "closed": closed}), PRESS)
+    assert found == find_moments(run, PRESS)
+
+
 def test_a_limit_switch_goes_before_the_temperatures():
     run, _ = one_run(closed_column=True)
     late = Run("late", {}, run.time_s, {**run.columns, "closed": np.roll(run.columns["closed"], 12)})
