@@ -1,5 +1,6 @@
 // What stands behind a chart: its numbers as a table, and the chart to take away as CSV, SVG or PNG.
 import { clock, el, number, table } from "./dom.js";
+import { legendOf, nameAt, signOf } from "./legend.js";
 import { svgOf } from "./svg.js";
 import { text } from "./words.js";
 
@@ -49,15 +50,33 @@ export function csv(heads, rows) {
   return `${[heads.map(cell), ...rows.map((row) => row.map((v) => (Number.isFinite(v) ? String(v) : "")))].map((row) => row.join(",")).join("\n")}\n`;
 }
 
-// The canvas is transparent: the card's colour goes below it.
+// The canvas is transparent: the card's colour goes below it, and the legend beneath.
 function picture(chart) {
   const drawn = chart.plot.ctx.canvas;
-  const sheet = Object.assign(document.createElement("canvas"), { width: drawn.width, height: drawn.height });
+  const legend = legendOf(chart, drawn.width / devicePixelRatio);
+  const sheet = Object.assign(document.createElement("canvas"), { width: drawn.width, height: drawn.height + Math.ceil(legend.height * devicePixelRatio) });
   const ctx = sheet.getContext("2d");
-  ctx.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--card");
+  ctx.fillStyle = colour("--card");
   ctx.fillRect(0, 0, sheet.width, sheet.height);
   ctx.drawImage(drawn, 0, 0);
+  ctx.translate(0, drawn.height);
+  ctx.scale(devicePixelRatio, devicePixelRatio);
+  for (const one of legend.placed) explain(ctx, one);
   sheet.toBlob((blob) => save(blob, chart, "png"), "image/png");
+}
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || name;
+
+function explain(ctx, one) {
+  const { path, filled } = signOf(one);
+  ctx.fillStyle = ctx.strokeStyle = colour(one.colour);
+  ctx.lineWidth = 2;
+  ctx.setLineDash(one.dash ?? []);
+  if (filled) ctx.fill(new Path2D(path));
+  else ctx.stroke(new Path2D(path));
+  ctx.fillStyle = colour("--faint");
+  ctx.font = "12px system-ui, sans-serif";
+  ctx.fillText(one.name, ...nameAt(one));
 }
 
 function save(blob, chart, ending) {

@@ -1,4 +1,5 @@
-// A chart as SVG: what its canvas shows now, as lines and letters that scale.
+// A chart as SVG: what its canvas shows now, as lines and letters that scale, and its legend below.
+import { legendOf, nameAt, signOf } from "./legend.js";
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || name;
 const safe = (text) => String(text).replace(/[&<>"]/g, (sign) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[sign]);
@@ -14,10 +15,21 @@ export function svgOf(chart, gap) {
   const y = (value) => round(top + plot.valToPos(value, "y"));
   const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap, top, height })),
     ...chart.namedPhases(plot).map((phase) => nameOf(phase, 11 * chart.larger, top)), ...chart.marks.map((one) => mark(one, x, y, { left, top, width, height }))].join("");
-  return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${plot.height}" viewBox="0 0 ${plot.width} ${plot.height}" font-family="system-ui, sans-serif" font-size="12">`
+  const legend = legendOf(chart, plot.width);
+  const all = Math.ceil(plot.height + legend.height);
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${all}" viewBox="0 0 ${plot.width} ${all}" font-family="system-ui, sans-serif" font-size="12">`
     + `<title>${safe(chart.label)}</title><rect width="100%" height="100%" fill="${style("--card")}"/>`
     + `<clipPath id="plot"><rect x="${left}" y="${top}" width="${width}" height="${height}"/></clipPath>`
-    + `${axes(plot, x, y, { left, top, width, height })}<g clip-path="url(#plot)" fill="none">${inner}</g></svg>`;
+    + `${axes(plot, x, y, { left, top, width, height })}<g clip-path="url(#plot)" fill="none">${inner}</g>`
+    + `<g transform="translate(0 ${plot.height})">${legend.placed.map(explain).join("")}</g></svg>`;
+}
+
+function explain(one) {
+  const { path, filled } = signOf(one);
+  const colour = style(one.colour);
+  const [x, y] = nameAt(one);
+  const drawn = filled ? `fill="${colour}"` : `fill="none" stroke="${colour}" stroke-width="2"${one.dash ? ` stroke-dasharray="${one.dash.join(" ")}"` : ""}`;
+  return `<path d="${path}" ${drawn}/><text x="${round(x)}" y="${y}" fill="${style("--faint")}">${safe(one.name)}</text>`;
 }
 
 function axes(plot, x, y, { left, top, width, height }) {

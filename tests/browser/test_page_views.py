@@ -14,6 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
 from api.http.tokens import TokenFile
@@ -239,20 +240,28 @@ def test_the_numbers_behind_a_chart_are_reached_by_key_and_taken_as_csv_and_pict
     drawn = ElementTree.parse(taken.value.path()).getroot()
     space = "{http://www.w3.org/2000/svg}"
     lines = [
-        p.get("d") for p in drawn.iterfind(f"./{space}g/{space}path") if p.get("stroke-width") in ("1", "2", "2.6")
+        p.get("d")
+        for p in drawn.iterfind(f"./{space}g[@clip-path]/{space}path")
+        if p.get("stroke-width") in ("1", "2", "2.6")
     ]
     shown = [sum(row[k] is not None for row in rows) for k in range(1, len(rows[0]))]
     assert [len(re.findall("[ML]", line)) for line in lines] == [count for count in shown if count]
     assert "nan" not in ElementTree.tostring(drawn, "unicode").lower()
-    assert {"0", "100"} <= {t.text for t in drawn.iter(f"{space}text")}
+    written = [t.text for t in drawn.iter(f"{space}text")]
+    assert {"0", "100"} <= set(written)
+    assert written[-3:] == ["Platens", "Panel, top", "Panel, bottom"]  # each group once
     taken.value.save_as(tmp_path / "chart.svg")
     with page.expect_download() as taken:
         drawer.get_by_role("button", name="PNG").click()
-    assert Path(taken.value.path()).read_bytes().startswith(b"\x89PNG")
+    picture = Image.open(taken.value.path())
+    assert (picture.format, picture.height) == ("PNG", int(drawn.get("height")))
+    below = picture.crop((0, picture.height - 20, picture.width, picture.height))
+    assert len(below.getcolors(1 << 16)) > 1  # the legend
+    taken.value.save_as(tmp_path / "chart.png")
     page.screenshot(path=tmp_path / "keep.png")
 
 
-def test_a_chart_taken_as_svg_names_the_phases_as_the_page_does(plant):
+def test_a_chart_taken_away_names_the_phases_as_the_page_does_and_has_its_legend(plant, tmp_path):
     address, page, _ = plant
     page.goto(address + "#/runs/lab-0000000")
     drawer = page.locator("details.keep").first
@@ -262,6 +271,11 @@ def test_a_chart_taken_as_svg_names_the_phases_as_the_page_does(plant):
     drawn = ElementTree.parse(taken.value.path()).getroot()
     named = [t.text for t in drawn.iter("{http://www.w3.org/2000/svg}text")]
     assert [name for name in named if name in ("open", "closed")] == ["open", "closed", "open"]
+    assert named[-5:] == ["Platens", "Panel, top", "Panel, bottom", "Core, predicted", "95\xa0% band"]
+    taken.value.save_as(tmp_path / "chart.svg")
+    with page.expect_download() as taken:
+        drawer.get_by_role("button", name="PNG").click()
+    taken.value.save_as(tmp_path / "chart.png")
 
 
 def test_a_model_version_is_rolled_back_by_hand(plant):
