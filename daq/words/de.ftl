@@ -485,7 +485,11 @@ buffer-place-no-folder = store.buffer = { $file }: den Ordner { $folder } gibt e
 buffer-place-no-permission = keine Rechte zum Lesen und Schreiben
 buffer-place-refused = store.buffer = { $file }: { $reason }; Besitzer und Einbindung des Ordners und den Platz auf dem Datenträger prüfen oder eine andere Datei angeben
 buffer-refuses = Puffer { $file }: { $error }; auf seinem Datenträger Platz schaffen
-buffer-rows-unreadable = Puffer { $file }: { $count } Einträge sind nicht lesbar (der erste: { $error }); sie liegen nun in { $aside }
+buffer-rows-unreadable =
+    { $count ->
+        [one] Puffer { $file }: ein Eintrag ist nicht lesbar ({ $error }); er liegt nun in { $aside }
+       *[other] Puffer { $file }: { $count } Einträge sind nicht lesbar (der erste: { $error }); sie liegen nun in { $aside }
+    }
 buffer-sum-wrong = Prüfsumme falsch
 buffer-unusable = Puffer { $file }: { $error }; seinen Datenträger und Ordner prüfen oder eine andere Datei als buffer in [store] angeben; die Aufzeichnung läuft weiter, aber solange der Datenspeicher nicht erreichbar ist, warten Messzeilen im Arbeitsspeicher
 event-twice = Presse { $press }: { $kind } ist zu einem anderen Zeitpunkt der Messzeile { $scan } schon aufgezeichnet; das zweite Ereignis wird nicht gespeichert

@@ -485,7 +485,11 @@ buffer-place-no-folder = store.buffer = { $file }: folder { $folder } does not e
 buffer-place-no-permission = no permission to read and write
 buffer-place-refused = store.buffer = { $file }: { $reason }; check its folder's owner and mount and the space on its disk, or give another file
 buffer-refuses = buffer { $file }: { $error }; free space on its disk
-buffer-rows-unreadable = buffer { $file }: { $count } entries cannot be read (the first: { $error }); they are set aside in { $aside }
+buffer-rows-unreadable =
+    { $count ->
+        [one] buffer { $file }: one entry cannot be read ({ $error }); it is set aside in { $aside }
+       *[other] buffer { $file }: { $count } entries cannot be read (the first: { $error }); they are set aside in { $aside }
+    }
 buffer-sum-wrong = its checksum is wrong
 buffer-unusable = buffer { $file }: { $error }; check its disk and folder, or give another file as buffer of [store]; recording goes on, but while the store is away scans wait in memory
 event-twice = press { $press }: { $kind } is recorded at another moment of scan { $scan } already; the second is not kept as an event
