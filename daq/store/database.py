@@ -25,8 +25,8 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
 from daq.store.file_rescue import (
-    ChangeCount,
     Identity,
+    SettledCount,
     hold,
     identity_of,
     is_exchanged,
@@ -88,8 +88,8 @@ class Database:
         """The log and its index of the file that is held on to."""
         self._log_size = 0
         """How long the log was when it was last looked at."""
-        self._changes: ChangeCount | None = None
-        """How often the file held on to was changed."""
+        self._settled: SettledCount | None = None
+        """How often the file held on to was settled."""
         if later:
             return
         try:
@@ -126,7 +126,7 @@ class Database:
         if self.path is not None and self._prepared and not self.moved:
             with self.translated():
                 held = hold(self.path)
-            self._logs, self._changes = logs_of(self.path), ChangeCount(self.path)
+            self._logs, self._settled = logs_of(self.path), SettledCount(self.path)
             self._held = held  # last: another thread may ask meanwhile whether the file was moved
             self.settle()
 
@@ -161,10 +161,10 @@ class Database:
     @property
     def overwritten(self) -> bool:
         """Whether an older copy was written over the file held on to, in its place: its log belongs to another."""
-        changes = self._changes
-        if self.path is None or changes is None or identity_of(self.path) != self._identity:
+        settled = self._settled
+        if self.path is None or settled is None or identity_of(self.path) != self._identity:
             return False
-        return changes.went_back()
+        return settled.went_back()
 
     @property
     def log_cut(self) -> bool:
@@ -185,7 +185,7 @@ class Database:
             aside = rescue(self._held, self.path, alive, without_log=self.log_cut or self.overwritten)
         except (sqlite3.Error, OSError) as error:
             raise StoreUnavailable(_advice(self, str(error))) from error
-        self._held = self._changes = None
+        self._held = self._settled = None
         self._open_anew()
         self.hold_on()
         return aside
@@ -194,7 +194,7 @@ class Database:
         """Go on in what lies at the path now, where nothing is left of the file held on to; return whether."""
         if self.path is None or self._held is None or not is_exchanged(self._held, self.path):
             return False
-        self._held = self._changes = None
+        self._held = self._settled = None
         self._open_anew()
         self.hold_on()
         return True
@@ -285,9 +285,9 @@ class Database:
         self.engine.dispose()
         if self._held is not None and not self.moved:
             self._held.close()
-            if self._changes is not None:
-                self._changes.close()
-            self._held = self._changes = None
+            if self._settled is not None:
+                self._settled.close()
+            self._held = self._settled = None
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":

@@ -46,8 +46,8 @@ _BEGINS = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 """What a log begins with. https://www.sqlite.org/fileformat2.html#walformat"""
 _LOG_HEADER, _PAGE_HEADER = 32, 24
 """Bytes before the log's first page, and before each. Same source."""
-_COUNTER = slice(24, 28)
-"""Where a file's header counts its changes. Same source."""
+_COUNTER = slice(60, 64)
+"""Where a file's header has its user version. https://www.sqlite.org/fileformat2.html#the_database_header"""
 _PRESSES = "SELECT count(*) FROM press"
 LOGS = ("-wal", "-shm")
 """What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
@@ -119,11 +119,12 @@ def log_cut(path: Path, size_before: int) -> tuple[bool, int]:
     return cut, size_before if cut else size
 
 
-class ChangeCount:
-    """How often an SQLite file was changed, as its header counts: it never goes back while SQLite alone writes.
+class SettledCount:
+    """How often an SQLite file was settled, as its user version counts (`settle`): it never goes back.
 
-    Read through a descriptor that stays open as long as the held connection: whoever closes one of a file ends all
-    locks that the process has on it, SQLite's too. https://www.sqlite.org/howtocorrupt.html (2.2)
+    SQLite's own count of changes stands still while one connection alone writes into a log. Read through a
+    descriptor that stays open as long as the held connection: whoever closes one of a file ends all locks that the
+    process has on it, SQLite's too. https://www.sqlite.org/howtocorrupt.html (2.2)
     """
 
     def __init__(self, path: Path) -> None:
@@ -132,7 +133,7 @@ class ChangeCount:
 
     def went_back(self) -> bool:
         """Whether another state of the file lies in its place."""
-        before = self._last  # asked before the file: a thread beside this one may see a later count
+        before = self._last  # asked before the file: another thread may see a later count
         try:
             count = os.pread(self._file, _COUNTER.stop, 0)[_COUNTER]
         except OSError:
@@ -147,7 +148,9 @@ class ChangeCount:
 
 
 def settle(held: sqlite3.Connection) -> bool:
-    """Bring what a log holds into its file; return whether all of it is there: a reader may be in the way."""
+    """Bring what a log holds into its file, and count; return whether all is there: a reader may be in the way."""
+    (count,) = held.execute("PRAGMA user_version").fetchone()
+    held.execute(f"PRAGMA user_version = {count + 1}")
     busy, listed, settled = held.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
     return not busy and listed == settled
 
