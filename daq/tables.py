@@ -36,6 +36,8 @@ _LONG_NUMBER = re.compile(rf"[0-9][0-9_]{{{MOST_DIGITS},}}")
 _DIGITS = re.compile(r"_?[0-9]+")
 _UNSEEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Kinds of characters that nobody sees, or that turn their neighbours round. (Unicode Standard Annex 44)"""
+_JOINERS = "\u200c\u200d"
+"""Of these, those that shape the letters beside them, as in Persian. (Join_Control; Unicode Standard Annex 31)"""
 _TYPING_SLIPS = 2
 """Letters by which a mistyped key differs, at most: one swapped pair, or one wrong and one missing."""
 
@@ -190,10 +192,10 @@ def reason_of(error: Exception) -> Message | str:
 def unseen(name: str) -> bool:
     r"""Whether a name holds characters that nobody sees: it is compared, and typed again from what is seen.
 
-    >>> unseen("lab\u200b-1"), unseen("\u202e1-bal"), unseen("Prüfung 7 (Süd)")
-    (True, True, False)
+    >>> unseen("lab\u200b-1"), unseen("\u202e1-bal"), unseen("Prüfung 7 (Süd)"), unseen("تخته\u200cها")
+    (True, True, False, False)
     """
-    return any(unicodedata.category(character) in _UNSEEN for character in name)
+    return any(unicodedata.category(one) in _UNSEEN for one in name if one not in _JOINERS)
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:

@@ -210,7 +210,7 @@ class LivePress {
 
   async loadRun(run) {
     this.shown = run;
-    if (!run) return;
+    if (!run) { this.lacking.hidden = true; return; }
     const [samples, estimates, detail] = await Promise.all([
       get(`/runs/${encodeURIComponent(run)}/samples`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}/estimates`, { max_points: 4000 }),
