@@ -1,7 +1,7 @@
 // What stands behind a chart: its numbers as a table, and the chart to take away as CSV, SVG or PNG.
 import { clock, el, number, table } from "./dom.js";
 import { legendOf, nameAt, signOf } from "./legend.js";
-import { svgOf } from "./svg.js";
+import { style, svgOf } from "./svg.js";
 import { text } from "./words.js";
 
 export const BRIDGE_S = 5; // a missed scan is bridged; a longer silence stays a gap
@@ -56,7 +56,7 @@ function picture(chart) {
   const legend = legendOf(chart, drawn.width / devicePixelRatio);
   const sheet = Object.assign(document.createElement("canvas"), { width: drawn.width, height: drawn.height + Math.ceil(legend.height * devicePixelRatio) });
   const ctx = sheet.getContext("2d");
-  ctx.fillStyle = colour("--card");
+  ctx.fillStyle = style("--card");
   ctx.fillRect(0, 0, sheet.width, sheet.height);
   ctx.drawImage(drawn, 0, 0);
   ctx.translate(0, drawn.height);
@@ -65,16 +65,14 @@ function picture(chart) {
   sheet.toBlob((blob) => save(blob, chart, "png"), "image/png");
 }
 
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || name;
-
 function explain(ctx, one) {
   const { path, filled } = signOf(one);
-  ctx.fillStyle = ctx.strokeStyle = colour(one.colour);
+  ctx.fillStyle = ctx.strokeStyle = style(one.colour);
   ctx.lineWidth = 2;
   ctx.setLineDash(one.dash ?? []);
   if (filled) ctx.fill(new Path2D(path));
   else ctx.stroke(new Path2D(path));
-  ctx.fillStyle = colour("--faint");
+  ctx.fillStyle = style("--faint");
   ctx.font = "12px system-ui, sans-serif";
   ctx.fillText(one.name, ...nameAt(one));
 }

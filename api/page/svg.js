@@ -1,7 +1,7 @@
 // A chart as SVG: what its canvas shows now, as lines and letters that scale, and its legend below.
 import { legendOf, nameAt, signOf } from "./legend.js";
 
-const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || name;
+export const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || name;
 const safe = (text) => String(text).replace(/[&<>"]/g, (sign) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[sign]);
 const round = (value) => Math.round(10 * value) / 10;
 const WIDTHS = { line: 2, thin: 1, core: 2.6 };

@@ -25,15 +25,13 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
 from daq.store.file_rescue import (
+    HeldFile,
     Identity,
-    SettledCount,
-    hold,
     identity_of,
     is_exchanged,
     log_cut,
     logs_of,
     rescue,
-    settle,
 )
 from daq.store.records import NotAStore, StoreUnavailable
 from daq.store.sound_rows import is_torn, store_label
@@ -83,13 +81,9 @@ class Database:
         self._preparing = threading.Lock()
         self._identity: Identity | None = None
         """The file that is open; its name may stand for another one by now."""
-        self._held: sqlite3.Connection | None = None
-        self._logs = logs_of(Path())
-        """The log and its index of the file that is held on to."""
+        self._held: HeldFile | None = None
         self._log_size = 0
         """How long the log was when it was last looked at."""
-        self._settled: SettledCount | None = None
-        """How often the file held on to was settled."""
         if later:
             return
         try:
@@ -125,9 +119,7 @@ class Database:
         """Keep an SQLite file reachable whatever becomes of its name: for the one process that may rescue it."""
         if self.path is not None and self._prepared and not self.moved:
             with self.translated():
-                held = hold(self.path)
-            self._logs, self._settled = logs_of(self.path), SettledCount(self.path)
-            self._held = held  # last: another thread may ask meanwhile whether the file was moved
+                self._held = HeldFile(self.path)
             self.settle()
 
     def settle(self) -> bool:
@@ -135,7 +127,7 @@ class Database:
         if self._held is None or self.moved:
             return False
         try:
-            return settle(self._held)
+            return self._held.settle()
         except sqlite3.Error:
             return False
 
@@ -154,17 +146,18 @@ class Database:
     @property
     def log_gone(self) -> bool:
         """Whether the log of the file held on to is another one, while the file is in its place."""
-        if self.path is None or self._held is None or identity_of(self.path) != self._identity:
+        held = self._held
+        if self.path is None or held is None or identity_of(self.path) != self._identity:
             return False
-        return logs_of(self.path) != self._logs or self.log_cut or self.overwritten
+        return logs_of(self.path) != held.logs or self.log_cut or held.went_back()
 
     @property
     def overwritten(self) -> bool:
         """Whether an older copy was written over the file held on to, in its place: its log belongs to another."""
-        settled = self._settled
-        if self.path is None or settled is None or identity_of(self.path) != self._identity:
+        held = self._held
+        if self.path is None or held is None or identity_of(self.path) != self._identity:
             return False
-        return settled.went_back()
+        return held.went_back()
 
     @property
     def log_cut(self) -> bool:
@@ -182,19 +175,19 @@ class Database:
         if self.path is None or self._held is None:
             return None
         try:
-            aside = rescue(self._held, self.path, alive, without_log=self.log_cut or self.overwritten)
+            aside = rescue(self._held.connection, self.path, alive, without_log=self.log_cut or self.overwritten)
         except (sqlite3.Error, OSError) as error:
             raise StoreUnavailable(_advice(self, str(error))) from error
-        self._held = self._settled = None
+        self._held = None
         self._open_anew()
         self.hold_on()
         return aside
 
     def let_go(self) -> bool:
         """Go on in what lies at the path now, where nothing is left of the file held on to; return whether."""
-        if self.path is None or self._held is None or not is_exchanged(self._held, self.path):
+        if self.path is None or self._held is None or not is_exchanged(self._held.connection, self.path):
             return False
-        self._held = self._settled = None
+        self._held = None
         self._open_anew()
         self.hold_on()
         return True
@@ -285,9 +278,7 @@ class Database:
         self.engine.dispose()
         if self._held is not None and not self.moved:
             self._held.close()
-            if self._settled is not None:
-                self._settled.close()
-            self._held = self._settled = None
+            self._held = None
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":

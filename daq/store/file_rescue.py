@@ -119,42 +119,6 @@ def log_cut(path: Path, size_before: int) -> tuple[bool, int]:
     return cut, size_before if cut else size
 
 
-class SettledCount:
-    """How often an SQLite file was settled, as its user version counts (`settle`): it never goes back.
-
-    SQLite's own count of changes stands still while one connection alone writes into a log. Read through a
-    descriptor that stays open as long as the held connection: whoever closes one of a file ends all locks that the
-    process has on it, SQLite's too. https://www.sqlite.org/howtocorrupt.html (2.2)
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = os.open(path, os.O_RDONLY)
-        self._last = 0
-
-    def went_back(self) -> bool:
-        """Whether another state of the file lies in its place."""
-        before = self._last  # asked before the file: another thread may see a later count
-        try:
-            count = os.pread(self._file, _COUNTER.stop, 0)[_COUNTER]
-        except OSError:
-            return False
-        now = int.from_bytes(count, "big")
-        self._last = max(before, now)
-        return bool(count) and now < before
-
-    def close(self) -> None:
-        """Let go, once this process works with the file no more."""
-        os.close(self._file)
-
-
-def settle(held: sqlite3.Connection) -> bool:
-    """Bring what a log holds into its file, and count; return whether all is there: a reader may be in the way."""
-    (count,) = held.execute("PRAGMA user_version").fetchone()
-    held.execute(f"PRAGMA user_version = {count + 1}")
-    busy, listed, settled = held.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-    return not busy and listed == settled
-
-
 def _number_of(file: str) -> tuple[int, int] | None:
     try:
         found = Path(file).stat()
@@ -163,7 +127,45 @@ def _number_of(file: str) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-def hold(path: Path) -> sqlite3.Connection:
+class HeldFile:
+    """An SQLite file kept reachable whatever becomes of its name, with what shows that it, or its log, is another.
+
+    `settle` counts in the file's user version, which never goes back: SQLite's own count of changes stands still
+    while one connection alone writes into a log. It is read through a descriptor that stays open as long as the
+    connection: whoever closes one of a file ends all locks that the process has on it, SQLite's too.
+    https://www.sqlite.org/howtocorrupt.html (2.2)
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.connection = _hold(path)
+        self.logs = logs_of(path)
+        self._file, self._count = os.open(path, os.O_RDONLY), 0
+
+    def settle(self) -> bool:
+        """Bring the log into the file, and count; return whether all is there: a reader may be in the way."""
+        (count,) = self.connection.execute("PRAGMA user_version").fetchone()
+        self.connection.execute(f"PRAGMA user_version = {count + 1}")
+        busy, listed, settled = self.connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        return not busy and listed == settled
+
+    def went_back(self) -> bool:
+        """Whether an older state lies in the file's place."""
+        before = self._count  # asked before the file: another thread may see a later count
+        try:
+            head = os.pread(self._file, _COUNTER.stop, 0)[_COUNTER]
+        except OSError:
+            return False
+        now = int.from_bytes(head, "big")
+        self._count = max(before, now)
+        return bool(head) and now < before
+
+    def close(self) -> None:
+        """Let go, once this process works with the file no more."""
+        self.connection.close()
+        os.close(self._file)
+
+
+def _hold(path: Path) -> sqlite3.Connection:
     """Return a connection that keeps a file reachable; the interpreter's end does not close it."""
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
     try:

@@ -283,6 +283,22 @@ def test_the_salvage_of_a_buffer_that_is_cut_short_ends_wherever_it_is_cut(tmp_p
     assert alarms
 
 
+def full_of(folder, texts):
+    """Return a buffer with entries: its file, itself, and the alarms it gives."""
+    path, alarms = folder / "b.sqlite", []
+    buffer = Buffer(path, alarms.append)
+    buffer.append(entries(texts))
+    return path, buffer, alarms
+
+
+def put_note(path, session, content):
+    """Have a buffer's file hold anything as the one note of a session, outside of its log."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.executescript("DROP TABLE session; CREATE TABLE session (session INTEGER PRIMARY KEY, content)")
+        connection.execute("INSERT INTO session VALUES (?, ?)", (session, content))
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
 @pytest.mark.parametrize("content", [None, "", "12", "[", b"\xff", '{"channels": 3'], ids=repr)
 def test_a_note_of_a_session_that_cannot_be_read_keeps_no_recorder_from_recording(tmp_path, content):
     path, notes = tmp_path / "b.sqlite", Notes()
@@ -290,11 +306,7 @@ def test_a_note_of_a_session_that_cannot_be_read_keeps_no_recorder_from_recordin
         buffer = Buffer(path)
         key = session_key(buffer.sessions, "lab", CHANNELS, "press file")
         buffer.append([batch(key, n) for n in range(50)])
-        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-            connection.executescript(
-                "DROP TABLE session; CREATE TABLE session (session INTEGER PRIMARY KEY, content)"
-            )
-            connection.execute("INSERT INTO session VALUES (?, ?)", (key.press_id, content))
+        put_note(path, key.press_id, content)
         outbox = Outbox(store, buffer=path, acknowledged=notes.note, journal=notes.journal)
         later = outbox.later_key("lab", CHANNELS, "press file")
         outbox.start()
@@ -306,13 +318,9 @@ def test_a_note_of_a_session_that_cannot_be_read_keeps_no_recorder_from_recordin
 
 
 def test_a_damaged_buffer_is_salvaged_though_a_note_in_it_cannot_be_read(tmp_path):
-    path, alarms = tmp_path / "b.sqlite", []
-    buffer, texts = Buffer(path, alarms.append), [f"{n} {'x' * 500}" for n in range(100)]
-    buffer.append(entries(texts))
-    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        connection.executescript("DROP TABLE session; CREATE TABLE session (session INTEGER PRIMARY KEY, content)")
-        connection.execute("INSERT INTO session VALUES (-5, NULL)")
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    texts = [f"{n} {'x' * 500}" for n in range(100)]
+    path, buffer, alarms = full_of(tmp_path, texts)
+    put_note(path, -5, None)
     spoil(path, 4096 * 7, 4096, b"\xa5")
     found = drained(buffer)
     assert 80 < len(found) < 100
@@ -320,9 +328,8 @@ def test_a_damaged_buffer_is_salvaged_though_a_note_in_it_cannot_be_read(tmp_pat
 
 
 def test_what_is_being_written_when_a_buffer_is_damaged_is_neither_lost_nor_counted_as_lost(tmp_path):
-    path, alarms = tmp_path / "b.sqlite", []
-    buffer, texts = Buffer(path, alarms.append), [f"{n} {'x' * 500}" for n in range(100)]
-    buffer.append(entries(texts))
+    texts = [f"{n} {'x' * 500}" for n in range(100)]
+    path, buffer, alarms = full_of(tmp_path, texts)
     rows = buffer.oldest(40)
     path.write_bytes(random.Random(1).randbytes(9000))
     buffer.remove(rows[-1][0])
@@ -337,9 +344,8 @@ def test_what_is_being_written_when_a_buffer_is_damaged_is_neither_lost_nor_coun
 
 
 def test_entries_that_cannot_be_read_are_reported_together_and_once_however_often_they_are_read(tmp_path):
-    path, alarms = tmp_path / "b.sqlite", []
-    buffer, texts = Buffer(path, alarms.append), [f"{n}" for n in range(100)]
-    buffer.append(entries(texts))
+    texts = [f"{n}" for n in range(100)]
+    path, buffer, alarms = full_of(tmp_path, texts)
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute("UPDATE parcel SET content = 'x' WHERE number % 10 = 1")
     for _ in range(3):  # the store takes nothing yet
