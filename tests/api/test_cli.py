@@ -482,13 +482,33 @@ def store_of_two(tmp_path, campaign):
     return path
 
 
-def test_the_shell_completes_commands_and_options(tmp_path):
-    def completed(words):
-        asked = {"_KERNTEMP_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-        command = [sys.executable, "-m", "api"]
-        found = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, timeout=240)
-        return set(found.stdout.split())
+@pytest.fixture
+def shell_asks(monkeypatch, capsys):
+    """Ask as a shell does that completes, by variables; returns what it is answered."""
 
+    def ask(asked):
+        with monkeypatch.context() as shell:
+            for name, value in asked.items():
+                shell.setenv(name, value)
+            with pytest.raises(SystemExit):
+                main([])
+        return capsys.readouterr().out
+
+    return ask
+
+
+def test_the_shell_completes_commands_and_options(tmp_path, shell_asks):
+    def asked(words):
+        return {"_KERNTEMP_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+
+    def completed(words):
+        return set(shell_asks(asked(words)).split())
+
+    command = [sys.executable, "-m", "api"]
+    found = subprocess.run(
+        command, env=os.environ | asked("kerntemp dia"), capture_output=True, text=True, check=False
+    )
+    assert found.stdout.split() == ["diagnose"]
     assert completed("kerntemp dia") == {"diagnose"}
     assert {"--rehearse", "--rehearse-effect"} <= completed("kerntemp diagnose --reh")
     store = tmp_path / "some.sqlite"
@@ -520,17 +540,13 @@ def test_what_a_shell_needs_to_complete_is_printed(shell, capsys):
         ("de", "kerntemp fit --", "Diese Seite zeigen."),
     ],
 )
-def test_the_shell_is_told_what_a_completion_means(shell, language, call, expected):
+def test_the_shell_is_told_what_a_completion_means(shell, language, call, expected, shell_asks):
     asked = {
         "_KERNTEMP_COMPLETE": f"complete_{shell}",
         "_TYPER_COMPLETE_ARGS": call,
         "KERNTEMP_LANGUAGE": language,
     }
-    asked |= {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "COLUMNS": "80"}
-    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'kerntemp'; from api.cli import main; main()"]
-    output = subprocess.run(
-        command, env={**os.environ, **asked}, capture_output=True, text=True, check=False
-    ).stdout
+    output = shell_asks(asked | {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "COLUMNS": "80"})
     assert expected in output
     assert "help-" not in output
     assert "broker ()" not in output
