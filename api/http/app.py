@@ -19,13 +19,14 @@ from types import MappingProxyType
 from typing import Any
 
 from fastapi import Depends, FastAPI, HTTPException
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.datastructures import MutableHeaders
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.answers.health import installed_version
+from api.answers.kept import Kept
 from api.answers.records import utc_now
 from api.answers.schemas import Problem
 from api.answers.words import messages_of
@@ -88,7 +89,7 @@ def create_app(
         description=DESCRIPTION,
         docs_url=None,
         redoc_url=None,
-        openapi_url="/api/v1/openapi.json",
+        openapi_url=None,
         lifespan=lifespan,
         generate_unique_id_function=lambda route: route.name,
     )
@@ -98,7 +99,7 @@ def create_app(
     app.include_router(system.metrics_router)
     _add_page(app)
     problems.install(app)
-    _describe_problems(app)
+    _add_description(app)
     _stand_around(app, tokens)
     return app
 
@@ -170,8 +171,17 @@ def _add_page(app: FastAPI) -> None:
     app.mount("/static", StaticFiles(directory=PAGE), name="static")
 
 
-def _describe_problems(app: FastAPI) -> None:
-    """Add the schema the error answers refer to, which no route returns by itself."""
+def _add_description(app: FastAPI) -> None:
+    """Serve what describes the API; few ask, so it is worked out for the first of them, beside the event loop."""
+    kept: Kept[str, dict[str, Any]] = Kept(1)
+
+    @app.get("/api/v1/openapi.json", include_in_schema=False)
+    def description() -> JSONResponse:
+        return JSONResponse(kept.get(app.version, lambda: _description(app)))
+
+
+def _description(app: FastAPI) -> dict[str, Any]:
+    """Return it with the schema the error answers refer to, which no route returns by itself."""
     described = app.openapi()
     problem = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
     described["components"]["schemas"] |= problem.pop("$defs", {}) | {"Problem": problem}
@@ -182,6 +192,7 @@ def _describe_problems(app: FastAPI) -> None:
     for operation in (one for path in described["paths"].values() for one in path.values()):
         for parameter in operation.get("parameters", ()):
             _describe_no_nul(parameter["schema"])
+    return described
 
 
 def _describe_no_nul(schema: dict[str, Any]) -> None:
