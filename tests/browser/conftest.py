@@ -41,7 +41,22 @@ FLAGS = [
     "--disable-sync",
 ]
 FORKED = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
-FORKED.set_forkserver_preload(["api.cli", "api.alarms.watch", "api.alarms.ways", "api.http.server", "daq.store"])
+IMPORTED = [
+    "api.cli",
+    "api.alarms.watch",
+    "api.alarms.ways",
+    "api.http.server",
+    "daq.store",
+    "sqlalchemy.dialects.sqlite",
+    "softsensor.jobs.drift",
+    "softsensor.jobs.model_in_force",
+    "babel.dates",
+    "fluent.runtime",
+    "uvicorn.lifespan.on",
+    "uvicorn.loops.asyncio",
+    "uvicorn.protocols.http.h11_impl",
+]
+FORKED.set_forkserver_preload(IMPORTED)
 """Servers are forked off a process that has imported what they need: that takes longer than most tests."""
 
 

@@ -83,7 +83,7 @@ def test_when_the_line_goes_dead_old_readings_are_called_old_until_new_ones_come
 def test_what_is_asked_for_again_and_again_waits_for_its_answer(served, view, path):
     server, feed, page = served
     feed.pause_s = 0.0
-    feed.pressing()
+    feed.pressing(batch=10)
     page.clock.install()
     page.goto(f"{server.url}#/{view}")
     expect(page.locator("#link")).to_have_text("live")
