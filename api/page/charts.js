@@ -14,21 +14,28 @@ export function closeAll() {
   for (const chart of [...open]) chart.close();
 }
 
+// No mouse leaves a chart that a finger read: what is pressed elsewhere ends it.
+addEventListener("pointerdown", (event) => {
+  for (const chart of open) if (chart.touched && !chart.holder.contains(event.target)) chart.unpoint();
+});
+
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
 // why(name, x): the cause, in words, of a value that is not there; null where none is known.
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true, xSays = null, bridge = BRIDGE_S, release = text("page-follow"), letters = 12 }) {
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true, xSays = null, bridge = BRIDGE_S, release = text("page-chart-whole"), letters = 12 }) {
     Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why, xSays, bridge, larger: letters / 12 });
     this.data = [[], ...series.map(() => [])];
     this.marks = [];
     this.held = false;
+    this.touched = false;
     this.holder = el("div", { class: "chart", role: "application", tabindex: "0", "aria-label": `${label}. ${text("page-chart-keys")}`, onkeydown: (event) => this.press(event) });
     this.holder.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && !event.shiftKey) return; // the page scrolls
       event.preventDefault();
       this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, this.across(event.clientX));
     }, { passive: false });
-    for (const kind of ["touchstart", "touchmove", "touchend"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
+    for (const kind of ["touchstart", "touchmove", "touchend", "touchcancel"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
+    this.holder.addEventListener("pointermove", (event) => { if (event.pointerType === "mouse") this.touched = false; });
     this.holder.addEventListener("dblclick", () => this.hold(false)); // which shows all again
     this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, release);
     this.holder.append(this.release);
@@ -64,7 +71,7 @@ export class TimeChart {
       width: Math.max(this.holder.clientWidth, 200),
       height: this.height,
       padding: [10, 12 * larger, 0, 0], // room for half a number at the right end
-      cursor: { y: false, points: { size: 6 }, drag: { x: true, y: false }, sync: this.sync ? { key: this.sync } : undefined },
+      cursor: { y: false, points: { size: 6 }, drag: { x: true, y: false }, sync: this.sync ? { key: this.sync } : undefined, bind: { mouseleave: (_, __, leave) => (event) => (this.touched ? null : leave(event)) } },
       legend: { show: false },
       scales: {
         x: { time: false, ...(this.xRange ? { range: this.xRange } : {}) },
@@ -223,14 +230,16 @@ export class TimeChart {
     this.held = on;
     this.release.hidden = !on;
     if (!on && this.plot) this.plot.setData(this.data);
+    if (!on) this.onFollow?.();
   }
 
-  // Wheel, two fingers and keys: a part of the time, about the place pointed at.
-  zoom(factor, share = 0.5) {
+  // Wheel, two fingers and keys: a part of the time, about the place pointed at, which two fingers move.
+  zoom(factor, share = 0.5, to = share) {
     const { min, max } = this.plot.scales.x;
-    const at = min + share * (max - min);
+    const shown = (max - min) * factor;
+    const first = min + share * (max - min) - to * shown;
     this.hold(true);
-    this.plot.setScale("x", { min: at - (at - min) * factor, max: at + (max - at) * factor });
+    this.plot.setScale("x", { min: first, max: first + shown });
   }
 
   // How far across the chart a place on the screen is, 0 to 1.
@@ -257,13 +266,26 @@ export class TimeChart {
     event.preventDefault();
   }
 
+  // One finger reads values, two zoom and move the part shown; a finger that scrolls the page reads nothing.
   fingers(event) {
-    if (event.touches.length !== 2) { this.apart = null; return; }
-    const [{ clientX: x, clientY: y }, { clientX: other, clientY: below }] = event.touches;
-    const apart = Math.hypot(x - other, y - below);
-    if (this.apart && apart > 0) this.zoom(this.apart / apart, this.across((x + other) / 2));
-    this.apart = apart;
-    event.preventDefault();
+    const [one, other] = event.touches;
+    this.touched = true;
+    if (other) {
+      const apart = Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY);
+      const middle = this.across((one.clientX + other.clientX) / 2);
+      if (this.two && apart > 0) this.zoom(this.two.apart / apart, this.two.middle, middle);
+      else this.unpoint();
+      this.two = { apart, middle };
+      event.preventDefault();
+      return;
+    }
+    this.two = null;
+    if (event.type === "touchcancel") this.unpoint();
+    else if (one && event.type !== "touchend") this.plot.setCursor({ left: this.across(one.clientX) * this.plot.over.clientWidth, top: 10 });
+  }
+
+  unpoint() {
+    this.plot.setCursor({ left: -10, top: -10 });
   }
 
   point(plot) {
@@ -272,11 +294,7 @@ export class TimeChart {
     const shown = (s, value) => (value ?? null) === null ? this.why?.(s.name, this.data[0][idx]) : `${number(value, s.digits ?? 1)} ${s.unit ?? "°C"}`;
     const rows = this.series.map((s, i) => ({ s, value: s.group ? this.grouped(s, i, idx) : shown(s, this.data[i + 1][idx]) }))
       .filter(({ s, value }) => s.tip !== false && value && !s.kind.startsWith("band"));
-    for (const row of rows) {
-      const i = this.series.indexOf(row.s);
-      const [low, high] = [this.series.findIndex((s) => s.kind === "band-low"), this.series.findIndex((s) => s.kind === "band-high")].map((k) => (k < 0 ? null : this.data[k + 1][idx]));
-      if (row.s.kind === "core" && (low ?? null) !== null && i >= 0) row.value += ` (${number(low, 1)} … ${number(high, 1)})`;
-    }
+    for (const row of rows) row.value += this.bandAt(this.series.indexOf(row.s), idx);
     if (!rows.length) { this.tip.hidden = true; return; }
     this.tip.replaceChildren(el("table", {},
       el("tr", {}, el("td", { class: "faint" }, this.tipHead ? this.tipHead(this.data[0][idx]) : `${number(this.data[0][idx], 1)} s`), el("td", {})),
@@ -287,6 +305,14 @@ export class TimeChart {
     const width = this.tip.offsetWidth;
     this.tip.style.left = `${place + width > this.holder.clientWidth ? Math.max(left + 40 - width, 0) : place}px`;
     this.tip.style.top = "14px";
+  }
+
+  // A band stands before its own curve.
+  bandAt(i, idx) {
+    if (this.series[i - 1]?.kind !== "band-high") return "";
+    const [low, high] = [this.data[i - 1][idx], this.data[i][idx]];
+    const { digits = 1 } = this.series[i];
+    return (low ?? null) === null ? "" : ` (${number(low, digits)} … ${number(high, digits)})`;
   }
 
   // Of the curves of one group the first shows the middle of all, so that the values do not cover the chart.

@@ -942,6 +942,56 @@ def test_two_fingers_zoom_about_the_place_between_them(plant, browser, upright):
     context.close()
 
 
+def test_a_finger_reads_a_chart_and_two_move_the_part_shown(plant, browser):
+    address, _, _ = plant
+    context = browser.new_context(
+        viewport={"width": 375, "height": 812}, has_touch=True, is_mobile=True, locale="en-GB"
+    )
+    page = context.new_page()
+    page.goto(address + "#/runs/campaign-1")
+    chart = page.locator(".chart").first
+    chart.scroll_into_view_if_needed()
+    over, tip = chart.locator(".u-over"), chart.locator(".chart-tip")
+    touch = context.new_cdp_session(page)
+
+    def fingers(kind, *shares):
+        box = over.bounding_box()
+        y = box["y"] + box["height"] / 2
+        points = [{"x": box["x"] + share * box["width"], "y": y, "id": i} for i, share in enumerate(shares)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def seconds_at(share):
+        fingers("touchStart", share)
+        fingers("touchEnd")
+        expect(tip).to_contain_text(" s")
+        return float(tip.locator("tr").first.inner_text().split()[0])
+
+    begin, end = seconds_at(0.3), seconds_at(0.7)
+    assert end > begin
+    over.dispatch_event("mouseleave")  # browsers send one behind a finger
+    expect(tip).to_be_visible()
+    fingers("touchStart", 0.3)
+    fingers("touchMove", 0.5)
+    fingers("touchEnd")
+    expect(tip.locator("tr").first).to_have_text(re.compile(r"^[\d.]+ s"))
+    assert begin < float(tip.locator("tr").first.inner_text().split()[0]) < end
+    page.get_by_role("heading", level=1).tap()
+    expect(tip).to_be_hidden()
+
+    fingers("touchStart", 0.4, 0.6)
+    fingers("touchMove", 0.3, 0.7)  # twice as large
+    fingers("touchMove", 0.5, 0.9)  # and moved to the right: what was in the middle is now at 0.7
+    fingers("touchEnd")
+    whole = chart.get_by_role("button", name="Show all")
+    expect(whole).to_be_visible()
+    near = 0.1 * (end - begin)
+    assert [seconds_at(0.3), seconds_at(0.7)] == pytest.approx([begin, (begin + end) / 2], abs=near)
+    whole.tap()
+    expect(whole).to_be_hidden()
+    assert [seconds_at(0.3), seconds_at(0.7)] == pytest.approx([begin, end], abs=near)
+    context.close()
+
+
 def test_on_a_touch_screen_every_field_of_the_next_panel_is_large_enough_for_a_glove(plant, browser):
     address, _, _ = plant
     context = browser.new_context(viewport={"width": 768, "height": 1024}, has_touch=True, is_mobile=True)
@@ -1307,6 +1357,11 @@ def test_a_runs_page_asks_what_if_only_when_that_is_unfolded(plant, browser):
     expect(card.locator("table").first).to_contain_text("Wie es war, simuliert")  # live it was another number
     assert asked == [f"{address}api/v1/runs/campaign-1/what-if{q}" for q in ("", "?platen_temperature_C=170.5")]
     page.wait_for_function("document.documentElement.scrollWidth <= 375")
+    drawer = card.locator("details.keep").first
+    drawer.locator("summary").click()
+    heads = drawer.get_by_role("columnheader")
+    bounds = [head for head in heads.all_inner_texts() if "Grenze" in head]
+    assert [head.split(":")[0] for head in bounds] == ["Mit diesen Einstellungen"] * 2
     card.locator("#what-if-platen_temperature_C").fill("-3")
     card.locator("form button").click()
     expect(card.get_by_role("alert")).to_have_text("Heizplatten [°C]: muss mindestens 60 sein")

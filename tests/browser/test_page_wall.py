@@ -13,6 +13,7 @@ from playwright.sync_api import expect
 from daq.records import PressEvent, PressEventKind
 from daq.store.records import StoredEstimate
 from tests.browser.conftest import ACROSS, CHANNELS, LAB, comes
+from tests.patience import wait_until
 
 AHEAD = {
     "open_in_s": 11.0,
@@ -477,6 +478,50 @@ def test_a_part_of_the_chart_stays_in_view_until_follow_is_pressed(pressing):
     rows = drawer.locator("tbody tr").count()
     drawer.get_by_role("button", name="Show newer").click()
     expect(drawer.locator("tbody tr").nth(rows - 1)).to_be_attached()
+
+
+def test_a_part_of_the_chart_stays_in_view_while_the_next_pressing_comes(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=60, batch=10)
+    page.goto(server.url + "#/now")
+    title = page.locator("h2", has_text="pressing lab-")
+    expect(title).to_have_text("Last pressing lab-0000000")
+    chart = page.locator(".chart").first
+    chart.focus()
+    page.keyboard.press("+")
+    feed.pressing(scans=60, batch=10)
+    expect(page.locator(".facts a")).to_have_text("lab-0000060")
+    with page.expect_response("**/api/v1/press?*"):
+        pass
+    expect(title).to_have_text("Last pressing lab-0000000")
+    follow = chart.get_by_role("button", name="Follow")
+    expect(follow).to_be_visible()
+    follow.click()
+    expect(title).to_have_text("Last pressing lab-0000060")
+
+
+@pytest.mark.parametrize("width", [375, 1280])
+def test_a_charts_tip_holds_the_band_also_of_what_is_foreseen_and_stays_within_its_chart(pressing, browser, width):
+    server, _ = pressing
+    page = browser.new_page(viewport={"width": width, "height": 812}, locale="de-DE")  # the longest words
+    page.goto(server.url + "#/now")
+    chart = page.locator(".chart").first
+    expect(chart.locator("canvas")).to_be_visible()
+    over, tip = chart.locator(".u-over"), chart.locator(".chart-tip")
+
+    def foreseen():
+        box = over.bounding_box()
+        over.hover(position={"x": box["width"] - 10, "y": 60})
+        return tip.inner_text() if tip.is_visible() else ""
+
+    wait_until(lambda: re.search(r"Vorhersage[^(]*\d,\d °C \(\d+,\d … \d+,\d\)", foreseen()))
+    outside = """(tip) => {
+        const own = tip.getBoundingClientRect(), all = tip.parentElement.getBoundingClientRect();
+        return [Math.min(own.left - all.left, 0), Math.max(own.right - all.right, 0)];
+    }"""
+    assert tip.evaluate(outside) == [0, 0]
+    page.close()
 
 
 def test_machines_are_given_the_advice_the_page_shows(pressing):

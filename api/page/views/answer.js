@@ -110,7 +110,7 @@ export class CoreChart {
         { name: "low ahead", kind: "band-low", colour: "--core-ahead" }, { name: "high ahead", kind: "band-high", colour: "--core-ahead" },
         { name: text("page-core-foreseen"), colour: "--core", kind: "line", dash: [6, 5], spanGaps: true },
         ...measured.map((name) => ({ name, colour: "--measured", kind: "line" }))],
-      height, keep, letters, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS,
+      height, keep, letters, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS, release: text("page-follow"),
       yRange: (_, low, high) => this.range(low, high),
     });
   }

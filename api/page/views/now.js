@@ -208,7 +208,14 @@ class LivePress {
     this.curves.hidden = !this.drawn;
   }
 
+  // A part somebody looks at stays until "follow" is pressed, also when the next pressing has begun.
+  get held() {
+    return Boolean(this.drawn) && [this.chart?.chart, this.faceChart].some((chart) => chart?.held);
+  }
+
   async loadRun(run) {
+    this.missed = this.held;
+    if (this.missed) return;
     this.shown = run;
     if (!run) { this.lacking.hidden = true; return; }
     const [samples, estimates, detail] = await Promise.all([
@@ -247,8 +254,9 @@ class LivePress {
     this.chart = new CoreChart(this.canvas, { height, measured: this.inner });
     this.faceChart = new TimeChart(this.faces, {
       series: this.outer.map((name) => ({ name, colour: COLOURS[role(name)], kind: "thin", group: groupName(role(name)) })),
-      height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS,
+      height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"), xSteps: WHOLE_SECONDS, release: text("page-follow"),
     });
+    for (const chart of [this.chart.chart, this.faceChart]) chart.onFollow = () => this.missed && this.loadRun(this.now.run);
     this.redraw();
     this.drawn = this.shown;
     this.showTitle();
@@ -264,7 +272,7 @@ class LivePress {
     const zero = closingOf(this.phases);
     this.chart.show({
       times: this.rows[0], low: this.rows[first], high: this.rows[first + 1], core: this.rows[first + 2], measured: this.inner.map(column),
-      phases: this.phases, target: targetOf(this.now), course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes, stale: this.stale,
+      phases: this.phases, target: targetOf(this.now), course: this.shown === this.now.run && this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes, stale: this.stale,
     });
     this.faceChart.callX(countedFrom(this.phases));
     this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
@@ -304,7 +312,7 @@ class LivePress {
   estimate(data) {
     if (data.press !== this.now?.press) return;
     take(this.now, data);
-    this.course = courseOf(data) ?? this.course;
+    if (data.run === this.shown) this.course = courseOf(data) ?? this.course;
     this.soon("showCore");
     this.factsSoon();
     if (data.run !== this.shown || !this.rows) return;

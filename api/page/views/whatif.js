@@ -70,10 +70,10 @@ function chart(name, label, unit, factor) {
     const scaled = (values) => values.map((v) => (v === null ? null : v * factor));
     const before = straight(was.time_s.map((t) => t - was.closed_s), scaled(was[middle]), times);
     new TimeChart(holder, {
-      series: [{ name: "low", kind: "band-low", unit }, { name: "high", kind: "band-high", unit }, { name: text("page-what-if-as-it-was"), colour: "--faint", kind: "line", dash: [6, 5], unit, digits: factor > 1 ? 0 : 1 }, { name: text("page-what-if-asked"), colour: "--core", kind: "core", unit, digits: factor > 1 ? 0 : 1 }],
+      series: [{ name: text("page-what-if-as-it-was"), colour: "--faint", kind: "line", dash: [6, 5], unit, digits: factor > 1 ? 0 : 1 }, { name: "low", kind: "band-low", unit }, { name: "high", kind: "band-high", unit }, { name: text("page-what-if-asked"), colour: "--core", kind: "core", unit, digits: factor > 1 ? 0 : 1 }],
       height: name === "core" ? 300 : 170, label: text(label), yLabel: unit, xLabel: text("page-time-from-closing"),
       phases: asked.opened_s === null ? [] : [{ state: "closed", from_s: 0, to_s: asked.opened_s - asked.closed_s }],
-    }).set([times, scaled(asked[low]), scaled(asked[high]), before, scaled(asked[middle])]);
+    }).set([times, before, scaled(asked[low]), scaled(asked[high]), scaled(asked[middle])]);
   };
   return { holder, draw };
 }
