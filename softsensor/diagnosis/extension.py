@@ -137,7 +137,9 @@ def evaluate(
     n, k, m = len(plain), len(unknowns), len(shared)
     jacobian = np.zeros((len(residual), k + count))
     outer = np.zeros((len(residual), m))
-    rows = dict(zip(names, data(digest.observed_tangents(solution, names)).T, strict=True))
+    tangents_K = digest.observed_tangents(solution, names)
+    tangents_K = tangents_K + _shifted(digest, tangents_K, offsets)
+    rows = dict(zip(names, data(tangents_K).T, strict=True))
     for key in layout.effect_names:
         outer[:n, shared[key]] = rows[key]
     for j, u in enumerate(unknowns):
@@ -196,15 +198,33 @@ def _linear_rows(digest: Digest, model: Array) -> Array:
     """
     bins, count = model.shape
     rows = np.zeros((bins, count, 2 * count + 1))
-    if bins > 2:
-        slope = np.gradient(model, digest.time, axis=0)
-        rows[:, :, count + 1 :] = -slope[:, :, None] * (np.eye(count) - 1.0 / count)
-    for i in range(count):
-        rows[:, i, i] = 1.0
-    before = digest.time < digest.moments.closed_s - RAMP_S / 2.0
-    if before.sum() > 2:
-        rows[before, :, count] = -np.gradient(model[before], digest.time[before], axis=0)
+    slope, inserted = _slopes(digest, model)
+    rows[:, :, :count] = np.eye(count)
+    rows[:, :, count] = -inserted
+    rows[:, :, count + 1 :] = -slope[:, :, None] * (np.eye(count) - 1.0 / count)
     return np.concatenate([rows, digest.panel_rows], axis=-1)
+
+
+def _slopes(digest: Digest, series: Array) -> tuple[Array, Array]:
+    """Return how fast series rise, everywhere and before the press closes, 0 elsewhere (bins, ...). [1/s]"""
+    slope, early = np.zeros_like(series), np.zeros_like(series)
+    before = digest.time < digest.moments.closed_s - RAMP_S / 2.0
+    if len(series) > 2:
+        slope = np.gradient(series, digest.time, axis=0)
+    if before.sum() > 2:
+        early[before] = np.gradient(series[before], digest.time[before], axis=0)
+    return slope, early
+
+
+def _shifted(digest: Digest, tangents: Array, offsets: Array) -> Array:
+    """Return by how much what enters linearly moves with the model, through its slopes (bins, signals, n).
+
+    Late signals and a late insertion shift by the model's slope; where that steepens, so do they.
+    """
+    count = len(digest.signals)
+    late = offsets[count + 1 : 2 * count + 1]
+    slope, inserted = _slopes(digest, tangents)
+    return -slope * (late - late.mean())[:, None] - inserted * offsets[count]
 
 
 def fit_campaign_model(

@@ -22,7 +22,7 @@ OPENING_RAMP_S = 0.35
 HANDLING_RAMP_S = 0.2
 """How long insertion and removal take. [s]"""
 SHORTEST_RAMP_S = 0.02
-"""A ramp is at least this long, so that its derivatives stay finite. Set by hand, 2026-11. [s]"""
+"""A ramp is longer than this, so that its derivatives stay finite. Set by hand, 2026-11. [s]"""
 TIMINGS = ("closed_s", "opened_s", "ramp_s", "inserted_s")
 """What shifts a field of `Moments`."""
 OPENING_RAMP = "opening_ramp_s"
@@ -60,7 +60,8 @@ class Clock:
         if not self.has_states:
             return []
         m = self.moments
-        lengths = (HANDLING_RAMP_S, *self._lengths(values), HANDLING_RAMP_S)
+        closing, opening = self._lengths(values)
+        lengths = (HANDLING_RAMP_S, closing[0], opening[0], HANDLING_RAMP_S)
         shifted = [getattr(m, name) + values.get(name, 0.0) for name in ("inserted_s", "closed_s", "opened_s")]
         middles = (*shifted, m.removed_s)
         return [
@@ -69,11 +70,11 @@ class Clock:
             if np.isfinite(a) and (i > 0 or a > self.start)
         ]
 
-    def _lengths(self, values: Mapping[str, float]) -> tuple[float, float]:
-        """Return how long closing and opening take. [s]"""
+    def _lengths(self, values: Mapping[str, float]) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return how long closing and opening take, each with its derivative by what stretches it. [s]"""
         closing = self.moments.ramp_s + values.get("ramp_s", 0.0)
         opening = OPENING_RAMP_S + values.get(OPENING_RAMP, 0.0)
-        return max(closing, SHORTEST_RAMP_S), max(opening, SHORTEST_RAMP_S)
+        return _lasting(closing), _lasting(opening)
 
     def shares(self, values: Mapping[str, float], names: tuple[str, ...] = (), p: int = 0) -> tuple[Array, Array]:
         """Return the shares of idle, open and closed (rows, 3), and their derivatives (rows, 3, p)."""
@@ -94,7 +95,7 @@ class Clock:
             weights[:, 2] = 1.0
             return weights, d_weights
         m = self.moments
-        up_s, down_s = self._lengths(values)
+        (up_s, up_by), (down_s, down_by) = self._lengths(values)
         up, d_up, d_up_s = ramp(self.times, m.closed_s + values.get("closed_s", 0.0), up_s, mean=self.mean)
         down, d_down, d_down_s = ramp(self.times, m.opened_s + values.get("opened_s", 0.0), down_s, mean=self.mean)
         closed = up - down
@@ -106,7 +107,12 @@ class Clock:
             weights_of = names.index("inserted_s")
             d_weights[:, 0, weights_of] = -d_present
             d_weights[:, 1, weights_of] = d_present
-        changes = {"closed_s": d_up, "opened_s": -d_down, "ramp_s": d_up_s, OPENING_RAMP: -d_down_s}
+        changes = {
+            "closed_s": d_up,
+            "opened_s": -d_down,
+            "ramp_s": up_by * d_up_s,
+            OPENING_RAMP: -down_by * d_down_s,
+        }
         for name, change in changes.items():
             if name in names:
                 d_weights[:, 2, names.index(name)] = change
@@ -121,6 +127,17 @@ class Clock:
         there, _, _ = ramp(self.times, inserted, HANDLING_RAMP_S, mean=self.mean)
         moved, change, _ = ramp(self.times, inserted + shift, HANDLING_RAMP_S, mean=self.mean)
         return self.present + moved - there, change
+
+
+def _lasting(asked_s: float) -> tuple[float, float]:
+    """Return how long a ramp takes that is asked to take so long, and its derivative by that.
+
+    As asked from twice the shortest on, smoothly towards the shortest below: a search that has shortened a ramp as
+    far as it goes feels that nothing is left to gain, and does not reckon with a step that changes nothing.
+    """
+    over = asked_s / SHORTEST_RAMP_S - 2.0
+    share = 1.0 if over >= 0.0 else float(np.exp(over))
+    return (asked_s if over >= 0.0 else SHORTEST_RAMP_S * (1.0 + share)), share
 
 
 def ramp(edges: Array, middle: float, length: float, *, mean: bool) -> tuple[Array, Array, Array]:

@@ -44,6 +44,7 @@ from softsensor.diagnosis.extension import (
     start_eta,
     unstuck,
 )
+from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.numbers import (
@@ -71,7 +72,7 @@ from softsensor.heat.timing import OPENING_RAMP, OPENING_RAMP_S
 from softsensor.jobs.night_sure import held_back
 from softsensor.report.diagnosis_figures import residual_figure
 from softsensor.report.diagnosis_report import diagnosis_report
-from softsensor.signals.digest import Digest, MeanNoise
+from softsensor.signals.digest import Digest, MeanNoise, Whitened
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.moments import moments_seen
 from softsensor.signals.screen import screened
@@ -602,6 +603,40 @@ def test_panels_may_differ_the_less_the_further_a_model_is_off_and_noise_does_no
     assert finer(noise, 16.0) == (noise, 0.25)
     assert finer(noise, 0.25) == (MeanNoise(noise.slow / 2, noise.fast / 2, noise.white / 2), 1.0)
     assert finer(noise, 0.0)[1] == 1.0
+
+
+@pytest.mark.parametrize("earlier_s", [0.2, 3.0], ids=["a moment moved", "a ramp as short as it goes"])
+def test_a_step_knows_what_late_signals_and_moved_moments_do_to_each_other(earlier_s: float) -> None:
+    data, layout, theta, eta, names = panels_late(ramp_earlier_s=earlier_s)
+    there = evaluate(layout, 0, data, theta, eta)
+    assert np.ptp(there.offsets[len(data.digest.signals) + 1 :]) > 0.02  # signals are late
+    linear, _ = np.linalg.qr(there.jacobian[:, len(eta) :])
+
+    def free_of_offsets(series: Array) -> Array:
+        return series - linear @ (linear.T @ series)
+
+    for i, name in enumerate(names):
+        step = np.zeros(len(eta))
+        step[i] = 1e-4
+        after, before = (evaluate(layout, 0, data, theta, eta + way * step, tangents=False) for way in (1, -1))
+        moved = free_of_offsets(before.residual - after.residual) / 2e-4
+        assert np.linalg.norm(free_of_offsets(there.jacobian[:, i]) - moved) < 0.01 * np.linalg.norm(moved), name
+
+
+def panels_late(ramp_earlier_s: float) -> tuple[Whitened, Unknowns, Array, Array, list[str]]:
+    """Return a run whose lower face is read late, and where a search might stand, its moments moved."""
+    ((run, _), *_) = campaign(None, 41, 7)
+    late = {
+        c: np.interp(run.time_s - 0.2, run.time_s, v) for c, v in run.columns.items() if c.startswith("bottom")
+    }
+    model, run = ThermalModel(press()), replace(run, columns={**run.columns, **late})
+    (data,) = settle(model, _screened(press(), [run])[1], START_NOISE).data
+    layout = lay_out(model, [data.digest], {}, {})
+    theta = np.array([s.begin for s in layout.shared])
+    eta, names = start_eta(layout, 0, theta), [u.name for u in layout.unknowns[0]]
+    eta[names.index("closed_s")] -= 0.15
+    eta[names.index("ramp_s")] -= ramp_earlier_s
+    return data, layout, theta, eta, names
 
 
 def test_what_enters_linearly_stays_within_its_limits() -> None:
