@@ -314,13 +314,16 @@ def make_folders(place: Place, version: str, user: int | None) -> None:
     if not place.config.exists():
         place.config.write_text(first_configuration((shared / "kerntemp.toml").read_text(), place.data))
     for path in (place.settings, *place.settings.rglob("*")):
-        path.chmod(0o750 if path.is_dir() else 0o640)
-        if user is not None and os.geteuid() == 0:
-            os.chown(path, 0, user)
+        hand_over(path, 0, user)
     for folder in (place.data, place.backups, place.cache):
-        folder.chmod(0o750)
-        if user is not None and os.geteuid() == 0:
-            os.chown(folder, user, user)
+        hand_over(folder, user, user)
+
+
+def hand_over(path: Path, owner: int | None, group: int | None) -> None:
+    """Let owner and group at a path and nobody else; who they are changes where the number is known and may."""
+    path.chmod(0o750 if path.is_dir() else 0o640)
+    if owner is not None and group is not None and os.geteuid() == 0:
+        os.chown(path, owner, group)
 
 
 def first_configuration(example: str, data: Path) -> str:

@@ -277,8 +277,11 @@ class _Demo:
         unseen = (self.plan.pressings or max(self._pressed, default=0)) - len(self._pressed)
         for line in pace_lines(self.findings, self.plan.speed, left_out, recorded, unseen):
             self.show(line)
-        if not self.plan.hide:
-            return
+        if self.plan.hide:
+            self._show_models()
+
+    def _show_models(self) -> None:
+        """Say what the model in force gains by what was found, and why others are not in force."""
         from softsensor.heat.model_reading import parse_model  # compiled code, of which the beginning needs none
 
         active = self.store.active_model(PRESS)

@@ -460,17 +460,7 @@ class Press(Table):
         names = [layer.name for layer in self.layer]
         if doubled := {n for n in names if names.count(n) > 1}:
             raise ValueError(say("press-layer-twice", names=tuple(sorted(doubled))))
-        neighbours = list(itertools.pairwise(self.chain))
-        pairs: set[tuple[str, str]] = set()
-        for i, contact in enumerate(self.contact):
-            if contact.between not in neighbours:
-                possible = tuple(str(list(n)) for n in neighbours)
-                found = say("press-contact-no-neighbours", possible=possible)
-                raise ValueError(_of(f"contact.{i}.between", list(contact.between), found))
-            if contact.between in pairs:
-                raise ValueError(_of(f"contact.{i}.between", list(contact.between), say("press-contact-twice")))
-            pairs.add(contact.between)
-            self._check_parting(i, contact)
+        self._check_contacts()
         if unused := sorted(set(self.coefficients) - set(self.coefficient_names)):
             raise ValueError(
                 say("press-coefficient-unused", name=f"coefficients.{unused[0]}", used=self.coefficient_names)
@@ -483,12 +473,7 @@ class Press(Table):
             self._check_place("core.at", self.core.at)
         if mistake := self.misnamed_wire:
             raise ValueError(mistake)
-        if (
-            self.initial.kind is InitialKind.UNIFORM
-            and self.initial.temperature_C is None
-            and not self.panel_layers
-        ):
-            raise ValueError(_of("initial.kind", InitialKind.UNIFORM, say("press-initial-needs")))
+        self._check_initial()
         return self
 
     @property
@@ -505,6 +490,19 @@ class Press(Table):
                 return _of(f"press.{key}", name, say("press-wire-as-temperature", pattern=taken[0]))
         return None
 
+    def _check_contacts(self) -> None:
+        neighbours = list(itertools.pairwise(self.chain))
+        pairs: set[tuple[str, str]] = set()
+        for i, contact in enumerate(self.contact):
+            if contact.between not in neighbours:
+                possible = tuple(str(list(n)) for n in neighbours)
+                found = say("press-contact-no-neighbours", possible=possible)
+                raise ValueError(_of(f"contact.{i}.between", list(contact.between), found))
+            if contact.between in pairs:
+                raise ValueError(_of(f"contact.{i}.between", list(contact.between), say("press-contact-twice")))
+            pairs.add(contact.between)
+            self._check_parting(i, contact)
+
     def _check_parting(self, i: int, contact: Contact) -> None:
         for end in ("bottom", "top"):
             kind = getattr(self.boundary, end).kind
@@ -515,6 +513,11 @@ class Press(Table):
             ):
                 found = say("press-contact-cannot-part", boundary=f"boundary.{end}", kind=kind)
                 raise ValueError(_of(f"contact.{i}.open", list(contact.open), found))
+
+    def _check_initial(self) -> None:
+        begins = self.initial
+        if begins.kind is InitialKind.UNIFORM and begins.temperature_C is None and not self.panel_layers:
+            raise ValueError(_of("initial.kind", InitialKind.UNIFORM, say("press-initial-needs")))
 
     def _check_prior(self, name: str, prior: Prior) -> None:
         if name not in self.coefficient_names:

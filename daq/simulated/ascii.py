@@ -94,6 +94,16 @@ class AdamModule:
         return f"{value:+07.1f}"
 
 
+_SCAN_SETTINGS = {
+    "SENS:TEMP:TRAN:TC:RJUN:TYPE": ("_reference_internal", "INT"),
+    "SENS:TEMP:TRAN:TC:CHEC": ("_checks_open", "ON"),
+    "FORM:READ:CHAN": ("_shows_channel", "ON"),
+}
+"""What a scanning meter can be set to, by command: which setting, and what turns it on."""
+_SCAN_IGNORED = frozenset({"UNIT:TEMP", "SENS:TEMP:NPLC", "FORM:READ:TIME", "FORM:READ:ALAR", "FORM:READ:UNIT"})
+"""Commands it takes that change nothing here."""
+
+
 class ScanningMeter:
     """A 34970A or DAQ970A as far as a temperature scan needs it, its traps included.
 
@@ -152,21 +162,12 @@ class ScanningMeter:
             self._errors.clear()
         elif head == "CONF:TEMP":
             self._reference_internal = self._checks_open = self._shows_channel = False
-        elif head == "SENS:TEMP:TRAN:TC:RJUN:TYPE":
-            self._reference_internal = rest.startswith("INT")
-        elif head == "SENS:TEMP:TRAN:TC:CHEC":
-            self._checks_open = rest.startswith("ON")
         elif head == "ROUT:SCAN":
             self._scan = [int(n) for n in re.findall(r"\d{3}", rest)]
-        elif head == "FORM:READ:CHAN":
-            self._shows_channel = rest == "ON"
-        elif head not in {
-            "UNIT:TEMP",
-            "SENS:TEMP:NPLC",
-            "FORM:READ:TIME",
-            "FORM:READ:ALAR",
-            "FORM:READ:UNIT",
-        }:
+        elif head in _SCAN_SETTINGS:
+            setting, on = _SCAN_SETTINGS[head]
+            setattr(self, setting, rest.startswith(on))
+        elif head not in _SCAN_IGNORED:
             self._errors.append('-113,"Undefined header"')
 
     def _readings(self) -> list[str]:

@@ -6,7 +6,7 @@ lies in the panel differs from run to run by 25 %; the rest belongs to press or 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -159,39 +159,51 @@ def draw_outside(name: str, rng: np.random.Generator, scale: float = 1.0) -> dic
 
 def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressing:
     """Return the pressing with faults outside the catalogue put in (but a heater zone: see the campaign)."""
-    lasting = pressing.opened - pressing.closed
+    fields: dict[str, float] = {}
+    for name in faults.keys() & _OUTSIDE_FIELDS.keys():
+        fields |= _OUTSIDE_FIELDS[name](pressing, faults[name])
+    return replace(pressing, outside=Outside(**fields))
 
-    def when(share: float) -> float:
-        return pressing.closed + share * lasting
 
-    o = Outside()
-    for name, p in faults.items():
-        if name == "contact_lapse":
-            until = when(min(p["from_share"] + p["lasts_share"], 1.2))
-            o = replace(o, lapse_drop=p["drop"], lapse_from=when(p["from_share"]), lapse_to=until)
-        elif name == "delamination":
-            o = replace(
-                o,
-                split_resistance=p["resistance_m2K_W"],
-                split_depth=pressing.panel.thickness - p["depth_mm"] / 1000.0,
-                split_from=when(p["from_share"]),
-            )
-        elif name == "steam_condensation":
-            o = replace(
-                o,
-                wet_heat=p["heat_kJ_m2"] * 1e3,
-                wet_release=when(p["release_share"]),
-                wet_return=when(p["return_share"]),
-                wet_width=max(1.0, 0.04 * lasting),
-            )
-        elif name == "draught":
-            o = replace(o, draught=p["factor"], draught_from=pressing.opened + p["after_s"])
-        elif name == "lifted_panel":
-            o = replace(o, lift=p["factor"], lift_from=pressing.opened + p["after_s"])
-        elif name == "steam_burst":
-            until = pressing.opened + p["lasts_s"]
-            o = replace(o, flash_rate=p["per_s"], flash_from=pressing.opened, flash_to=until)
-    return replace(pressing, outside=o)
+def _when(pressing: Pressing, share: float) -> float:
+    """Return the time at which the press has been closed for a share of its press time. [s]"""
+    return pressing.closed + share * (pressing.opened - pressing.closed)
+
+
+def _lapse(pressing: Pressing, p: Parameters) -> dict[str, float]:
+    until = min(p["from_share"] + p["lasts_share"], 1.2)
+    begun = _when(pressing, p["from_share"])
+    return {"lapse_drop": p["drop"], "lapse_from": begun, "lapse_to": _when(pressing, until)}
+
+
+def _split(pressing: Pressing, p: Parameters) -> dict[str, float]:
+    depth = pressing.panel.thickness - p["depth_mm"] / 1000.0
+    begun = _when(pressing, p["from_share"])
+    return {"split_resistance": p["resistance_m2K_W"], "split_depth": depth, "split_from": begun}
+
+
+def _condensed(pressing: Pressing, p: Parameters) -> dict[str, float]:
+    return {
+        "wet_heat": p["heat_kJ_m2"] * 1e3,
+        "wet_release": _when(pressing, p["release_share"]),
+        "wet_return": _when(pressing, p["return_share"]),
+        "wet_width": max(1.0, 0.04 * (pressing.opened - pressing.closed)),
+    }
+
+
+_OUTSIDE_FIELDS: dict[str, Callable[[Pressing, Parameters], dict[str, float]]] = {
+    "contact_lapse": _lapse,
+    "delamination": _split,
+    "steam_condensation": _condensed,
+    "draught": lambda now, p: {"draught": p["factor"], "draught_from": now.opened + p["after_s"]},
+    "lifted_panel": lambda now, p: {"lift": p["factor"], "lift_from": now.opened + p["after_s"]},
+    "steam_burst": lambda now, p: {
+        "flash_rate": p["per_s"],
+        "flash_from": now.opened,
+        "flash_to": now.opened + p["lasts_s"],
+    },
+}
+"""What each fault sets of a pressing's `Outside`."""
 
 
 def split_names(names: Sequence[str]) -> tuple[list[str], list[str]]:

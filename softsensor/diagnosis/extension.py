@@ -224,7 +224,7 @@ def _shifted(digest: Digest, tangents: Array, offsets: Array) -> Array:
     count = len(digest.signals)
     late = offsets[count + 1 : 2 * count + 1]
     slope, inserted = _slopes(digest, tangents)
-    return -slope * (late - late.mean())[:, None] - inserted * offsets[count]
+    return np.asarray(-slope * (late - late.mean())[:, None] - inserted * offsets[count])
 
 
 def fit_campaign_model(

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -162,12 +163,22 @@ class Pocket:
         return float(np.nanmean(self.means))
 
 
+class Stretch(NamedTuple):
+    """A stretch of time in a phase."""
+
+    phase: ResidualPhase
+    from_s: float
+    """Since the phase began; a share of the press time where `shared`. [s]"""
+    to_s: float
+    shared: bool = False
+
+
 def pockets(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Pocket]:
     """Average residuals (bins, signals) over pockets that at least half of the runs share."""
     residuals = trusted(digests, residuals)
-    stretches = [(phase, a, b, False) for phase in ResidualPhase for a, b in pairwise(SINCE_S)]
-    stretches += [(ResidualPhase.CLOSED, i / SHARES, (i + 1) / SHARES, True) for i in range(SHARES)]
-    found = [pocket(digests, residuals, signal, *where) for signal in signals_of(digests) for where in stretches]
+    stretches = [Stretch(phase, a, b) for phase in ResidualPhase for a, b in pairwise(SINCE_S)]
+    stretches += [Stretch(ResidualPhase.CLOSED, i / SHARES, (i + 1) / SHARES, True) for i in range(SHARES)]
+    found = [pocket(digests, residuals, signal, where) for signal in signals_of(digests) for where in stretches]
     return [p for p in found if np.isfinite(p.means).sum() >= max(2, (len(digests) + 1) // 2)]
 
 
@@ -181,21 +192,10 @@ def trusted(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Array
     return [r * d.trust for d, r in zip(digests, residuals, strict=True)]
 
 
-def pocket(
-    digests: Sequence[Digest],
-    residuals: Sequence[Array],
-    signal: str,
-    phase: ResidualPhase,
-    from_s: float,
-    to_s: float,
-    shared: bool = False,
-) -> Pocket:
+def pocket(digests: Sequence[Digest], residuals: Sequence[Array], signal: str, where: Stretch) -> Pocket:
     """Average residuals (bins, signals) of every run over one stretch of time at one place."""
-    means = [
-        _mean_in(d, r, signal, inside(d, phase, from_s, to_s, shared))
-        for d, r in zip(digests, residuals, strict=True)
-    ]
-    return Pocket(signal, phase, from_s, to_s, shared, np.array(means))
+    means = [_mean_in(d, r, signal, inside(d, *where)) for d, r in zip(digests, residuals, strict=True)]
+    return Pocket(signal, *where, np.array(means))
 
 
 def inside(d: Digest, phase: ResidualPhase, from_s: float, to_s: float, shared: bool = False) -> np.ndarray:

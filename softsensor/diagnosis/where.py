@@ -15,6 +15,7 @@ from softsensor.diagnosis.sign_flips import (
     SINCE_S,
     Pocket,
     ResidualPhase,
+    Stretch,
     inside,
     pocket,
     signals_of,
@@ -42,9 +43,9 @@ def stretches(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Poc
     for signal in signals_of(digests):
         for phase in ResidualPhase:
             cuts = pairwise((*SINCE_S[:-1], *LATER_S, SINCE_S[-1]))
-            row = [pocket(digests, residuals, signal, phase, a, b) for a, b in cuts]
+            row = [pocket(digests, residuals, signal, Stretch(phase, a, b)) for a, b in cuts]
             row = [p for p in row if np.isfinite(p.means).any()]
-            found += [pocket(digests, residuals, signal, phase, a, b) for a, b in _joined(row)]
+            found += [pocket(digests, residuals, signal, Stretch(phase, a, b)) for a, b in _joined(row)]
     return sorted(found, key=lambda p: (-abs(p.mean), p.signal, p.phase, p.from_s))
 
 

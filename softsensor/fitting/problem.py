@@ -215,25 +215,25 @@ class FitProblem:
         derivative = np.zeros((len(predicted), len(self.unknowns)))
         added = np.zeros(len(predicted))
         for j, u in enumerate(self.unknowns):
-            if ":" not in u.name:
+            kind, named, label = u.name.partition(":")
+            if not named:
                 if u.name in solution.d_sensors:
                     derivative[:, j] = solution.d_sensors[u.name][:, column] * (u.slope(x[j] * u.unit) * u.unit)
-                continue
-            kind, _, label = u.name.partition(":")
-            if kind == CONSTANT:
+            elif kind == CONSTANT:
                 if label in self.constant:
                     derivative[:, j] = self.constant[label][i] * u.unit
-                continue
-            if label not in (place.label, EVERYWHERE):
-                continue
-            if kind == PlaceUnknown.OFFSET:
-                derivative[:, j] = u.unit
-            elif kind == PlaceUnknown.GAIN:
-                derivative[:, j] = (predicted - self.case.ambient) * u.unit
-            elif self.slope:
-                derivative[:, j] = -self.slope[i] * u.unit
-            added += derivative[:, j] * x[j]
+            elif label in (place.label, EVERYWHERE):
+                derivative[:, j] = self._channel_error(i, kind, predicted) * u.unit
+                added += derivative[:, j] * x[j]
         return place.mean - predicted - added, derivative
+
+    def _channel_error(self, i: int, kind: str, predicted: Array) -> Array | float:
+        """Return what the channels of a place read more by one unit of an error of theirs (rows). [K]"""
+        if kind == PlaceUnknown.OFFSET:
+            return 1.0
+        if kind == PlaceUnknown.GAIN:
+            return predicted - self.case.ambient
+        return -self.slope[i] if self.slope else 0.0
 
 
 def rows_with_panel(case: Case) -> Array:

@@ -127,25 +127,28 @@ def constant_doubts(
         Scatter from panel to panel by key, as a share of the value (`heat.model_file.ModelFile.scatter`). It goes
         before data sheet, material table and guess, never before what is stated or measured.
     """
-    found: dict[str, Doubt] = {}
-    if press.panel_layers:
-        found |= dict(_panel(header))
-    found["ambient.temperature_C"] = _given(header, "ambient.temperature_C", AMBIENT_K, Source.MEASURED) or Doubt(
-        ROOM_C, AMBIENT_GUESS_K, Source.GUESS
-    )
-    for layer in press.layer:
-        if not layer.from_run:
-            found |= dict(_layer(header, layer))
-    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
-        found |= dict(_boundary(header, end, boundary))
-    for number, sensor in enumerate(press.sensor):
-        if sensor.role == "fit" and isinstance(sensor.at, At):
-            key = f"sensor.{number}.at.depth_mm"
-            found[key] = _of_press(header, key, sensor.at.depth_mm, dict(sensor.at.sd), DEPTH_MM)
+    found = dict(_all(header, press))
     for key, share in (learned or {}).items():
         if key in found and found[key].source in (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS):
             found[key] = Doubt(found[key].value, share * abs(found[key].value), Source.LEARNED)
     return found
+
+
+def _all(header: Mapping[str, Any], press: Press) -> Iterator[tuple[str, Doubt]]:
+    """Yield what is uncertain by where it comes from, nothing learned."""
+    if press.panel_layers:
+        yield from _panel(header)
+    room = _given(header, "ambient.temperature_C", AMBIENT_K, Source.MEASURED)
+    yield "ambient.temperature_C", room or Doubt(ROOM_C, AMBIENT_GUESS_K, Source.GUESS)
+    for layer in press.layer:
+        if not layer.from_run:
+            yield from _layer(header, layer)
+    for end, boundary in press.boundary.ends:
+        yield from _boundary(header, end, boundary)
+    for number, sensor in enumerate(press.sensor):
+        if sensor.role == "fit" and isinstance(sensor.at, At):
+            key = f"sensor.{number}.at.depth_mm"
+            yield key, _of_press(header, key, sensor.at.depth_mm, dict(sensor.at.sd), DEPTH_MM)
 
 
 def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
