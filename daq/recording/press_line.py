@@ -88,8 +88,8 @@ class _Change:
     press_file: str
     rules: RunRules
     plans: tuple[LoggerPlan, ...]
-    successors: Mapping[str, DataLogger]
-    """By name, the loggers that are new or differ."""
+    loggers: Mapping[str, DataLogger]
+    """By name; only those that are new or differ will be asked, which the thread that records decides."""
 
 
 class Shared(NamedTuple):
@@ -126,7 +126,8 @@ class PressLine:
         """When ticks went by lately, and how many. [s]"""
         self._fresh_s = time.monotonic()
         self._clock = ClockWatch(speed)
-        self._changed: _Change | None = None
+        self._changed: deque[_Change] = deque(maxlen=1)
+        """The newest change that waits for the end of a run; put in by one thread and taken out by another."""
         self._press_file = text_in(settings.file)
         self._plans = tuple(plan_of(x) for x in settings.logger)
         threads = [self._thread_of(x, logger) for x, logger in zip(self._plans, loggers, strict=True)]
@@ -172,25 +173,22 @@ class PressLine:
         """Take over changed settings between runs. Raises `InputError` for what is wrong in them."""
         press, press_file = press_of(settings), text_in(settings.file)
         plans = tuple(plan_of(x) for x in settings.logger)
-        successors = {p.settings.name: SuccessorLogger(p.settings) for p in plans if p not in self._plans}
+        loggers = {p.settings.name: SuccessorLogger(p.settings) for p in plans}
         rules = _rules(settings, text, plans)
-        self._changed = _Change(settings, press, press_file, rules, plans, successors)
+        self._changed.append(_Change(settings, press, press_file, rules, plans, loggers))
 
     def _take_over(self) -> None:
         """Swap settings between two scans; loggers that stay do not notice."""
-        if self._changed is None or self._keeper.open_run is not None:
+        if not self._changed or self._keeper.open_run is not None:
             return
-        change, self._changed = self._changed, None
+        change = self._changed.pop()
         if (change.press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
             self._press_file = change.press_file
             self._detector, self._late = _watchers(change.press)
-        self.settings, self._plans = change.settings, change.plans
-        kept = {x.name: x for x in self._scanner.loggers}
+        self.settings, running = change.settings, zip(self._plans, self._scanner.loggers, strict=True)
+        kept = {plan.settings.name: thread for plan, thread in running if plan in change.plans}
         threads = [
-            kept[name]
-            if (new := change.successors.get(name := x.settings.name)) is None
-            else self._thread_of(x, new)
-            for x in change.plans
+            kept.get(name := x.settings.name) or self._thread_of(x, change.loggers[name]) for x in change.plans
         ]
         channels = _channels(threads, self._detector.wires)
         if channels != self._key.channels:
@@ -198,6 +196,7 @@ class PressLine:
             self._outbox.expect(channels, self.settings.name, self._press_file)
         self._keeper.change(change.rules, _panel_places(change.press, channels))
         self._scanner.change(threads, self._period_s, self._stop)
+        self._plans = change.plans
         self._journal("info", say("configuration-in-force"), self.settings.name)
 
     # --- the thread -------------------------------------------------------------------------------------

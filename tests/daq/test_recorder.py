@@ -19,9 +19,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from daq.drivers import open_logger
 from daq.files.run_file import toml_value
 from daq.process.config import load_config
+from daq.recording import press_line
 from daq.recording.config_watch import ConfigWatch
+from daq.recording.press_line import PressLine, Shared
 from daq.recording.recorder import _status, record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
@@ -358,6 +361,31 @@ def test_a_configuration_saved_while_the_one_before_is_taken_over_is_taken_over_
     for _ in range(3):
         watch.look([line])
     assert [text.splitlines()[-1] for text in line.taken] == ["# the first", "# the second"]
+
+
+def test_a_logger_put_back_while_its_removal_is_taken_over_is_read_again(tmp_path, monkeypatch):
+    stop, told = threading.Event(), []
+    with plant(tmp_path) as made, open_store(made.url) as store:
+        config = load_config(made.config)
+        (both,) = config.press
+        one = both.model_copy(update={"logger": both.logger[:1]})
+        shared = Shared(store, Outbox(store), 1.0, lambda *line, **_: told.append(line[:2]), stop)
+        line = PressLine(both, config.text, [open_logger(x) for x in both.logger], shared)
+        line.change(one, config.text)
+        rules = press_line._rules
+
+        def meanwhile(*given):
+            line._take_over()  # as the press's own thread does between two scans
+            return rules(*given)
+
+        monkeypatch.setattr(press_line, "_rules", meanwhile)
+        line.change(both, config.text)
+        assert [x.name for x in line._scanner.loggers] == ["upper"]
+        line._take_over()
+        stop.set()
+        line._scanner.join(10.0)
+        assert [x.name for x in line._scanner.loggers] == ["upper", "lower"]
+        assert told == 2 * [("info", say("configuration-in-force"))]
 
 
 @pytest.mark.parametrize("hidden", ["kerntemp.toml", "lab.toml", "upper.toml"])
