@@ -140,6 +140,10 @@ def violations(page: Page) -> list[dict[str, Any]]:
     return [{"rule": v["id"], "where": v["nodes"][0]["target"]} for v in found]
 
 
+FEW_ROWS = "document.querySelectorAll('details.keep tbody tr:nth-child(n+6)').forEach((row) => row.remove())"
+"""The numbers behind charts are hundreds of rows of one make; axe looks at each cell."""
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (375, "dark")])
 def test_axe_finds_nothing_that_would_keep_anybody_out(plant, browser, width, scheme):
     address, _, _ = plant
@@ -154,6 +158,7 @@ def test_axe_finds_nothing_that_would_keep_anybody_out(plant, browser, width, sc
         page.wait_for_load_state("networkidle") if view == "docs" else page.wait_for_timeout(300)
         page.evaluate("document.querySelectorAll('details.keep').forEach((part) => { part.open = true; })")
         page.wait_for_timeout(300)
+        page.evaluate(FEW_ROWS)
         page.evaluate(axe)
         assert violations(page) == [], view
         assert complaints == [], view
