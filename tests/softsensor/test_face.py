@@ -627,8 +627,8 @@ def test_what_is_handed_out_cannot_be_changed_and_is_compared_as_the_object_it_i
         (simulation, softsensor.simulate(run, LAB, fitted)),
         (simulation.simulated, softsensor.simulate(run, LAB, fitted).simulated),
         (prediction, softsensor.predict(run, LAB, fitted)),
-        (fitted, softsensor.fit(SHORT, LAB)),
-        (fitted.campaign, softsensor.fit(SHORT, LAB).campaign),
+        (fitted, other_fit := softsensor.fit(SHORT, LAB)),
+        (fitted.campaign, other_fit.campaign),
         (fitted.campaign.runs[0], fitted.campaign.runs[1]),
     ):
         assert one != other
@@ -796,14 +796,24 @@ def no_number(text):
 
 
 @pytest.fixture(scope="module")
-def results(fitted):
+def said():
+    """What was said meanwhile of how far a diagnosis and a plan are, by the function."""
+    return {"diagnose": [], "plan": []}
+
+
+@pytest.fixture(scope="module")
+def results(fitted, said):
     """Return the answer of every public function that works something out."""
     resin = LAB.parents[1] / "resins/melamine_formaldehyde.toml"
     wet = {"panel.moisture_percent": 8.0, "panel.verdict": "blister"}
     (measured,) = make_campaign(77, 1, plan=Plan(rate_hz=1.0, thickness_mm=16.0))
     run, truth = measured
     model = softsensor.ThermalModel(parse_press(press_toml()))
-    found = softsensor.diagnose(SAMPLES[5:8], LAB, effects=["moisture_evaporation"])
+
+    def saying(name):
+        return {"progress": lambda what, share: said[name].append((what, share))}
+
+    found = softsensor.diagnose(SAMPLES[5:8], LAB, effects=["moisture_evaporation"], **saying("diagnose"))
     return {
         "advise": softsensor.advise(LAB, fitted, limits={"core_least_C": 90.0}),
         "diagnose": found,
@@ -811,7 +821,7 @@ def results(fitted):
         "learn_steam_limit": softsensor.learn_steam_limit(
             [softsensor.read_run(SAMPLES[0], header=wet)], LAB, fitted, resin=resin
         ),
-        "plan": softsensor.plan(found, LAB, ranges=PRESS_TIME),
+        "plan": softsensor.plan(found, LAB, ranges=PRESS_TIME, **saying("plan")),
         "predict": softsensor.predict(SHORT, LAB, fitted),
         "reproduce": softsensor.reproduce([(run, truth.moments, truth.coefficients)], model),
         "simulate": softsensor.simulate(SHORT, LAB, fitted),
@@ -855,20 +865,14 @@ def test_an_estimate_is_json_as_its_row_of_the_prediction(results):
         assert (row["steam_kPa"], row["open_now"]) == (None, 0)
 
 
-def test_diagnosis_and_plan_report_how_far_they_are():
+def test_diagnosis_and_plan_report_how_far_they_are(results, said):
     """From Python as at the terminal: a notebook has half a minute of silence otherwise."""
-    seen = []
-    runs = [daq.frame_of(softsensor.read_run(path)).iloc[::4] for path in SAMPLES[5:8]]
-    found = softsensor.diagnose(
-        runs, LAB, effects="edge_loss", progress=lambda what, share: seen.append((what, share))
-    )
-    shares = [share for _, share in seen]
+    assert results.keys() > said.keys()
+    shares = [share for _, share in said["diagnose"]]
     assert len(shares) >= 3
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] <= shares[-1] <= 1.0
-    before = len(seen)
-    softsensor.plan(found, LAB, ranges=PRESS_TIME, progress=lambda what, share: seen.append((what, share)))
-    assert len(seen) > before
+    assert said["plan"]
 
 
 def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):
@@ -940,15 +944,15 @@ def test_a_plans_table_keeps_nats_shares_and_kelvins_apart(results):
     assert "half_interval" not in table
 
 
-def test_whatever_a_result_leads_to_prints_on_one_screen(fitted):
+def test_whatever_a_result_leads_to_prints_on_one_screen(results):
+    fitted, resin = results["fit"], LAB.parents[1] / "resins/melamine_formaldehyde.toml"
     live = softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header, fitted)
-    results = (
+    led_to = (
         *(fitted, fitted.model(), softsensor.read_press(LAB), live.update(0.0, {"platen_top": 200.0})),
-        softsensor.simulate(SHORT, LAB, fitted),
-        softsensor.predict(SHORT, LAB, fitted, resin=LAB.parents[1] / "resins/melamine_formaldehyde.toml"),
-        softsensor.diagnose(SAMPLES[5:8], LAB, effects=["edge_loss"]),
+        *(results["simulate"], results["diagnose"]),
+        softsensor.predict(SHORT, LAB, fitted, resin=resin),
     )
-    assert {type(one).__name__: flooding(one) for one in results} == {type(one).__name__: {} for one in results}
+    assert {type(one).__name__: flooding(one) for one in led_to} == {type(one).__name__: {} for one in led_to}
 
 
 def test_an_effect_of_ones_own_is_known_by_name_once():
