@@ -55,6 +55,7 @@ IMPORTED = [
     "uvicorn.lifespan.on",
     "uvicorn.loops.asyncio",
     "uvicorn.protocols.http.h11_impl",
+    "tests.browser.forked",
 ]
 FORKED.set_forkserver_preload(IMPORTED)
 """Servers are forked off a process that has imported what they need: that takes longer than most tests."""
