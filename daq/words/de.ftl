@@ -2250,6 +2250,7 @@ page-full-screen = Vollbild
 page-health-core-unknown = alles läuft, Kern nicht bekannt
 page-health-degraded = eingeschränkt
 page-health-ok = alles gut
+page-health-runs = alles läuft
 
 ## page: the next panel
 

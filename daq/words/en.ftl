@@ -2237,6 +2237,7 @@ page-full-screen = Full screen
 page-health-core-unknown = all runs, core not known
 page-health-degraded = degraded
 page-health-ok = all well
+page-health-runs = all runs
 
 ## page: the next panel
 

@@ -132,9 +132,9 @@ def test_thirty_presses_stand_on_one_small_screen(served, browser, tmp_path):
     expect(page.locator(".press-tile")).to_have_count(30)
     page.screenshot(path=tmp_path / "presses.png", full_page=True)
     page.wait_for_function("document.querySelector('.presses').getBoundingClientRect().bottom <= innerHeight")
-    page.wait_for_function("""[...document.querySelectorAll('.press-tile > .row')].every((row) => {
-        const [name, state] = [...row.children].map((one) => one.getBoundingClientRect());
-        return state.top < name.bottom;  // beside it, not below
+    page.wait_for_function("""[...document.querySelectorAll('.press-tile')].every((tile) => {
+        const [light, state] = ['.light', '.pill'].map((one) => tile.querySelector(one).getBoundingClientRect());
+        return state.top < light.bottom && light.top < state.bottom;  // beside it, not below
     })""")
     page.close()
 

@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Error, expect
 
 from daq.records import PressEvent, PressEventKind
 from daq.store.records import StoredEstimate
@@ -348,6 +348,60 @@ def test_the_time_axis_of_a_pressing_that_has_just_closed_has_whole_seconds(pres
     written = "document.querySelector('.wall-chart canvas')?.across?.filter((words) => /\\d/.test(words))"
     page.wait_for_function(f"{written}?.length > 1")
     assert [words for words in page.evaluate(written) if "." in words] == []
+    page.close()
+
+
+SAID = (
+    (
+        "not_known",
+        {"code": "advice-not-known", "arguments": {"why": {"code": "reason-estimate-behind-the-press"}}},
+    ),
+    ("open_in", {"code": "advice-open-in-between", "arguments": {"seconds": 111, "low": 80.0, "high": 150.0}}),
+    ("open_now", {"code": "advice-open-now", "arguments": {}}),
+    ("too_early", {"code": "advice-too-early", "arguments": {}}),
+    ("opened", {"code": "advice-opened-peak", "arguments": {"peak_C": 112.0}}),
+    ("not_known", {"code": "advice-not-known", "arguments": {"why": {"code": "advice-no-look-ahead"}}}),
+)
+"""Answers short and long: the longest stands in every row of tiles."""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1366, 768), (1920, 1080)])
+def test_thirty_presses_with_long_names_and_answers_stand_on_one_screen(
+    pressing, browser, tmp_path, width, height
+):
+    server, _ = pressing
+
+    def thirty(route):
+        try:
+            content = route.fetch().json()
+        except Error:  # the page or its server has been closed
+            return
+        one = content["items"][0]
+        content["items"] = []
+        for number in range(30):
+            verdict, said = SAID[number % len(SAID)]
+            advice = one["estimate"]["advice"] | {"verdict": verdict, "sentence_said": said}
+            estimate = one["estimate"] | {"advice": advice, "valid": verdict != "not_known"}
+            content["items"].append(
+                one | {"press": f"Linie-{1 + number // 10}-Presse-{number}", "estimate": estimate}
+            )
+        route.fulfill(json=content)
+
+    page = browser.new_page(viewport={"width": width, "height": height}, locale="de-DE", bypass_csp=True)
+    page.route("**/api/v1/press", thirty)
+    page.goto(server.url)
+    expect(page.locator(".press-tile")).to_have_count(30)
+    expect(page.locator(".press-tile .answer").nth(1)).to_have_text("öffnen in 111 s (80 bis 150)")
+    page.screenshot(path=tmp_path / "presses.png", full_page=True)
+    page.wait_for_function("document.querySelector('.presses').getBoundingClientRect().bottom <= innerHeight")
+    beyond = """(tiles) => tiles.flatMap((tile) => {
+        const {right} = tile.getBoundingClientRect();
+        return [...tile.querySelectorAll('b, .pill, .band, .answer, .light')].filter((one) =>
+            one.getBoundingClientRect().right > right || one.scrollWidth > one.clientWidth + 1
+        ).map((one) => one.textContent);
+    })"""
+    assert page.locator(".press-tile").evaluate_all(beyond) == []
+    page.unroute_all(behavior="ignoreErrors")
     page.close()
 
 

@@ -64,13 +64,13 @@ export function wrongOf({ alarms, alarms_said: said }, press, { tile = false } =
 }
 
 // One light: green only where everything runs and what there is to say of the panel is known. For how long nothing was
-// read the answer says.
-export function showLight(light, { now, silent = null, wrong = "", starting = "" }) {
+// read the answer says, and in a tile, that the core is not known.
+export function showLight(light, { now, silent = null, wrong = "", starting = "", tile = false }) {
   const { state, estimate } = now;
   const known = !starting && (state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known"));
   const fault = silent !== null ? text("page-no-readings") : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
-  light.textContent = fault || starting || text(known ? "page-health-ok" : "page-health-core-unknown");
+  light.textContent = fault || starting || text(known ? "page-health-ok" : tile ? "page-health-runs" : "page-health-core-unknown");
 }
 
 // An estimate of the stream takes the place of the one before; what was missed and comes late is history.

@@ -56,5 +56,5 @@ function draw({ node, state, core, band, answer, light, now, received, wrong, st
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate, { tile: true });
   showAnswer(answer, now, stale ? silent : null);
-  showLight(light, { now, silent: stale ? silent : null, wrong, starting });
+  showLight(light, { now, silent: stale ? silent : null, wrong, starting, tile: true });
 }
