@@ -12,7 +12,7 @@ from daq.words import say
 from daq.words.message import ENGLISH, words
 from softsensor.planning.advise import ProgrammeAdvice, TriedProgramme
 from softsensor.planning.summary import advice_title
-from softsensor.report.fit_figures import COLOURS, INK, MUTED, sheet
+from softsensor.report.fit_figures import COLOURS, INK, MUTED, legend_below, sheet
 
 _SHOWN_PERCENT = (0.1, 100.0)
 """Least and largest chance shown: below the least no limit of probability is set."""
@@ -48,7 +48,7 @@ def advice_figure(found: ProgrammeAdvice, language: str = ENGLISH) -> Figure:
         ax.set_xlim(0.0, 1.05 * max(map(_last_shown_s, found.tried)))
         ax.set_xlabel(put(say("figure-advice-press-time")))
         ax.set_ylabel(put(say("figure-advice-risk")))
-        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+        legend_below(figure, 2, frameon=False)
     return figure
 
 

@@ -13,7 +13,7 @@ from daq.records import Array
 from daq.words import Message, say
 from daq.words.message import ENGLISH, words
 from softsensor.effects.vocabulary import called, place_words
-from softsensor.report.fit_figures import CLOSED_SHADE, COLOURS, INK, MUTED, Put, sheet, svg
+from softsensor.report.fit_figures import CLOSED_SHADE, COLOURS, INK, MUTED, Put, legend_below, sheet, svg
 
 PLAIN, EXTENDED = "#8a94a0", "#c2571a"
 Curves = Mapping[str, Any]
@@ -56,7 +56,7 @@ def worst_run_figure(curves: Curves, language: str = ENGLISH) -> Figure:
             ax.set_ylim(-reach_K, reach_K)
         axes[0, 0].set_ylabel(put(say("figure-temperature")))
         axes[1, 0].set_ylabel(put(say("figure-measured-minus-model")))
-        figure.legend(*axes[0, -1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        legend_below(figure, 4, *axes[0, -1].get_legend_handles_labels())
     return figure
 
 
@@ -148,7 +148,7 @@ def votes_figure(curves: Curves, language: str = ENGLISH) -> Figure | None:
         ax.set_axisbelow(True)
         ax.yaxis.set_major_formatter("{x:g}")
         ax.set_ylabel(put(say("figure-misfit-saved")))
-        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        legend_below(figure, 3, *ax.get_legend_handles_labels())
     return figure
 
 

@@ -89,6 +89,15 @@ def sheet(size: tuple[float, float], language: str, title: Message | None = None
                 axis.set_major_formatter(FuncFormatter(_with_sign(formatter, sign)))
 
 
+def legend_below(figure: Figure, most: int, *given: Any, **style: Any) -> None:
+    """Put a legend below the axes, in as many columns up to `most` as the figure is wide."""
+    for columns in range(most, 0, -1):
+        legend = figure.legend(*given, loc="outside lower center", ncols=columns, **style)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
+
+
 def svg(figure: Figure) -> str:
     """Return a figure as SVG text, the same for the same figure."""
     buffer = io.BytesIO()

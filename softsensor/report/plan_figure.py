@@ -15,7 +15,7 @@ from daq.words import say
 from daq.words.message import ENGLISH, words
 from softsensor.planning.plan import PressingPlan
 from softsensor.planning.summary import point_message
-from softsensor.report.fit_figures import COLOURS, sheet
+from softsensor.report.fit_figures import COLOURS, legend_below, sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +42,7 @@ def plan_figure(found: PressingPlan, language: str = ENGLISH) -> Figure:
         ax.set_axisbelow(True)
         ax.set_xlabel(put(say("figure-worth")))
         if names:
-            figure.legend(loc="outside lower center", ncols=len(kinds), frameon=False)
+            legend_below(figure, len(kinds), frameon=False)
     return figure
 
 

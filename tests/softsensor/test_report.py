@@ -56,6 +56,17 @@ def test_a_page_in_german_says_nothing_of_its_own_in_english(campaign):
     assert not [c for c, text in english.items() if "{" not in text and f">{text}<" in page]
 
 
+@pytest.mark.parametrize("language", languages())
+def test_a_legend_below_the_axes_ends_within_its_figure(language):
+    causes = ("conductivity_temperature", "heat_capacity_temperature", "thermocouple_footprint")
+    votes = [{"cause": cause, "gains": [1.0, 2.0]} for cause in causes]
+    for figure in (votes_figure({**CURVES, "votes": votes}, language), worst_run_figure(CURVES, language)):
+        svg(figure)
+        (legend,) = figure.legends
+        drawn = legend.get_window_extent()
+        assert (drawn.x0 >= 0.0, drawn.x1 <= figure.bbox.width) == (True, True)
+
+
 def test_the_legend_of_a_fit_says_which_coefficients_each_line_has(campaign):
     labels = fitted_run_figure(campaign.runs[0]).get_axes()[0].get_legend_handles_labels()[1]
     assert labels[:2] == ["model with the press file's guesses", "model with fitted coefficients"]
