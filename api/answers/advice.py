@@ -89,8 +89,9 @@ def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  
     if at is None:
         return _known("too_early", say("advice-too-early"), target_C, age_s=age_s)
     if at > AT_ONCE_S:
-        return _open_in(at, (low, high), target_C, age_s)
-    now = {"open_in_s": round(at, 1), **_rounded(low, high)}
+        return _open_in(at, (low, high), target_C, age_s, peak_C=target_C)
+    peak_C = None if estimate.peak_C is None else max(estimate.peak_C, target_C)  # noqa: N806
+    now = {"open_in_s": round(at, 1), **_rounded(low, high), "peak_C": peak_C}
     return _known("open_now", say("advice-open-now"), target_C, age_s=age_s, **now)
 
 
@@ -98,7 +99,8 @@ def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa
     """Return from when on every limit of the resin file holds."""
     age_s = _age_of_look(estimate)
     if estimate.open_now:
-        return _known("open_now", say("advice-open-now"), target_C, open_in_s=0.0, age_s=age_s)
+        peak_C = estimate.peak_C if age_s is not None and age_s <= SILENT_S else None  # noqa: N806
+        return _known("open_now", say("advice-open-now"), target_C, open_in_s=0.0, age_s=age_s, peak_C=peak_C)
     if age_s is None or age_s > SILENT_S:
         why = say("advice-no-look-ahead") if age_s is None else say("advice-old", seconds=age_s)
         return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
@@ -118,6 +120,7 @@ def _open_in(
     bounds: tuple[float | None, float | None],
     target_C: float | None,  # noqa: N803
     age_s: float,
+    peak_C: float | None = None,  # noqa: N803
 ) -> Advice:
     """Return that the press may open some seconds from now, with what is known of the bounds of that."""
     low, high = bounds
@@ -130,7 +133,8 @@ def _open_in(
         message = say("advice-open-in-at-least", **whole, low=low)
     else:
         message = say("advice-open-in-between", **whole, low=low, high=high)
-    return _known("open_in", message, target_C, age_s=age_s, open_in_s=round(at, 1), **_rounded(low, high))
+    ahead = {"open_in_s": round(at, 1), **_rounded(low, high), "peak_C": peak_C}
+    return _known("open_in", message, target_C, age_s=age_s, **ahead)
 
 
 def _rounded(low: float | None, high: float | None) -> dict[str, float | None]:

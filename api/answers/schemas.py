@@ -133,7 +133,8 @@ class Advice(_Answer):
     """The limit of the resin file that stands most in the way, where none of the look ahead meets all of them."""
     target_C: float | None = None  # noqa: N815
     peak_C: float | None = None  # noqa: N815
-    """Of the core after opening, once it is open."""
+    """Of the core after opening: once it is open, and where it is to be opened, if it is opened then; null where
+    that is not known, as ahead of limits of a resin file."""
     age_s: float | None = None
     """How old the look ahead is on which this rests."""
     sentence: str

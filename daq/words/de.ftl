@@ -2632,6 +2632,7 @@ page-panel-blister = Blase
 page-panel-good = gut
 page-panel-scrap = Ausschuss
 page-panel-undercured = nicht ausgehärtet
+page-peak-then = der Kern erreicht dann höchstens { NUMBER($peak, maximumFractionDigits: 0) } °C
 page-platens = Heizplatten
 page-quality = Güte
 page-quality-bad_frame = Telegramm fehlerhaft

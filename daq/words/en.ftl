@@ -2619,6 +2619,7 @@ page-panel-blister = blister
 page-panel-good = good
 page-panel-scrap = scrap
 page-panel-undercured = undercured
+page-peak-then = the core then peaks at { NUMBER($peak, maximumFractionDigits: 0) } °C
 page-platens = Platens
 page-quality = Quality
 page-quality-bad_frame = bad frame

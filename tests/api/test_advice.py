@@ -39,6 +39,17 @@ def test_a_panel_with_enough_heat_is_to_be_opened_now_and_nothing_else_is_said()
     assert (advice.verdict, advice.sentence) == ("open_now", "OPEN NOW")
 
 
+def test_an_opening_says_what_becomes_of_the_core_by_the_look_ahead_it_rests_on():
+    """A panel opened as advised reaches its target; one that has more heat, what it has."""
+    assert advice_of(estimate(**ahead(peak_C=31.0)), 40.0).peak_C == 40.0
+    assert advice_of(estimate(**ahead(open_in_s=0.0, peak_C=46.0)), 40.0).peak_C == 46.0
+    assert advice_of(estimate(**ahead(open_in_s=0.3, peak_C=39.6)), 40.0).peak_C == 40.0
+    assert (
+        advice_of(estimate(**{**ahead(peak_C=31.0), **CURED, **BOUNDS, "limits_in_s": 11.0}), 40.0).peak_C is None
+    )
+    assert advice_of(estimate(**{**ahead(peak_C=46.0), **CURED, "open_now": True}), 40.0).peak_C == 46.0
+
+
 def test_without_a_latest_moment_none_is_made_up():
     advice = advice_of(estimate(**ahead(open_latest_s=None)), 40.0)
     assert advice.open_latest_s is None

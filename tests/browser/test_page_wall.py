@@ -75,6 +75,7 @@ def test_the_answer_is_one_line_and_nothing_beside_it_contradicts_it(pressing, v
     answer = page.get_by_test_id("answer")
     expect(answer).to_have_text("open in 11 s (8 to 15)")
     expect(answer).to_have_class("answer open_in")
+    expect(page.get_by_test_id("peak")).to_have_text("the core then peaks at 60 °C")  # though it is at 50 now
     expect(page.get_by_text("Peak if opened now")).to_have_count(0)
     expect(page.locator(".chart canvas").first).to_be_visible()
 
@@ -172,6 +173,7 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     comes(page, written, f"(it) => it.open === {of.format('accent')}")
     server.stop_for_a_while()
     expect(answer).to_contain_text("not known, because no reading for")
+    expect(page.get_by_test_id("peak")).to_be_hidden()
     expect(page.locator(".light.bad")).to_have_text(["no readings"] if view == "#/wall" else [])  # said once
     green = """() => [...document.querySelectorAll('body *')].filter((e) => {
         const good = getComputedStyle(document.documentElement).getPropertyValue('--good').trim();

@@ -45,6 +45,13 @@ export function showAnswer(place, { state, estimate }, silent) {
   if (place.textContent !== shown) place.textContent = shown;
 }
 
+// What becomes of a core that is opened as the answer says: without it "open now" stands beside one far below its target.
+export function showPeak(place, { estimate }, silent) {
+  const { verdict, peak_C: peak } = (silent === null && estimate?.advice) || {};
+  place.hidden = !["open_now", "open_in"].includes(verdict) || (peak ?? null) === null;
+  if (!place.hidden) place.textContent = text("page-peak-then", { peak });
+}
+
 // Why nothing is known of now, whatever the panel: recorder or live sensor are silent, clocks disagree.
 const SILENT = ["live sensor silent", "no scans", "clock ahead"];
 

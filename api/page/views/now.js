@@ -6,7 +6,7 @@ import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, inWords, text } from "../words.js";
-import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, countedFrom, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
+import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, countedFrom, courseOf, cureOf, seconds, shifted, showAnswer, showCore, showPeak, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -81,6 +81,7 @@ class LivePress {
     this.core = el("div", { class: "core", "data-testid": "core" });
     this.band = el("div", { class: "band", "data-testid": "band" });
     this.answer = el("div", { class: "answer", "data-testid": "answer", role: "status" });
+    this.peak = el("div", { class: "band", "data-testid": "peak", hidden: true });
     this.meter = el("i", {});
     this.sketch = el("div", { "aria-hidden": "true" });
     this.list = el("dl", { class: "facts" });
@@ -96,7 +97,7 @@ class LivePress {
         this.hero = el("section", { class: "card hero", "aria-labelledby": "core-title" },
           el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("page-core-temperature")), this.state),
           el("div", {}, this.core, this.band),
-          this.answer,
+          this.answer, this.peak,
           this.warning,
           this.bench = el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
           el("div", { class: "beside" }, this.sketch, this.list),
@@ -153,7 +154,9 @@ class LivePress {
   }
 
   showAnswer() {
-    showAnswer(this.answer, this.now, this.stale ? this.silentFor() : null);
+    const silent = this.stale ? this.silentFor() : null;
+    showAnswer(this.answer, this.now, silent);
+    showPeak(this.peak, this.now, silent);
   }
 
   showWarning() {

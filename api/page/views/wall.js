@@ -2,7 +2,7 @@
 import { again, get } from "../api.js";
 import { duration, el } from "../dom.js";
 import { text } from "../words.js";
-import { CoreChart, courseOf, showAnswer, showCore, showLight, startingOf, stateOf, targetOf, take, wrongOf } from "./answer.js";
+import { CoreChart, courseOf, showAnswer, showCore, showLight, showPeak, startingOf, stateOf, targetOf, take, wrongOf } from "./answer.js";
 
 export async function show(place, context, [press]) {
   const wall = new Wall(place, context, press ?? context.press);
@@ -30,6 +30,7 @@ class Wall {
     this.core = el("div", { class: "core", "data-testid": "core" });
     this.band = el("div", { class: "band", "data-testid": "band" });
     this.answer = el("div", { class: "answer", "data-testid": "answer", role: "status" });
+    this.peak = el("div", { class: "band", "data-testid": "peak", hidden: true });
     this.state = el("span", { class: "pill", "data-testid": "state" });
     this.light = el("span", { class: "light", "data-testid": "health", role: "status" });
     this.since = el("span", { class: "num" });
@@ -37,7 +38,7 @@ class Wall {
     const whole = el("button", { type: "button", class: "quiet", onclick: () => document.documentElement.requestFullscreen?.() }, text("page-full-screen"));
     place.replaceChildren(el("section", { class: "wall", "aria-labelledby": "wall-title" },
       el("div", { class: "wall-head" }, el("h1", { id: "wall-title" }, press ?? "Kerntemp"), this.state, this.since, this.light, whole, el("a", { href: "#/now", class: "quiet" }, text("page-back"))),
-      el("div", { class: "wall-core" }, this.core, this.band), this.answer, this.chartPlace));
+      el("div", { class: "wall-core" }, this.core, this.band), el("div", { class: "wall-said" }, this.answer, this.peak), this.chartPlace));
   }
 
   async ask() {
@@ -111,6 +112,7 @@ class Wall {
     this.state.className = `pill ${state}`;
     this.state.textContent = text(`page-state-${state}`);
     showAnswer(this.answer, this.now, stale ? silent : null);
+    showPeak(this.peak, this.now, stale ? silent : null);
     showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong: wrongOf(this.health, this.now.press), starting: startingOf(this.health) });
   }
 }
