@@ -20,6 +20,7 @@ from api.commands.inputs import (
     files_read,
     opened_store,
     say_doubts,
+    stored_presses,
     stored_runs,
 )
 from api.outputs import check_writable, in_words, warn, working, write_all, write_line, write_table
@@ -110,7 +111,9 @@ class ExportOptions:
         Literal["csv", "parquet", "jsonl"],
         typer.Option("--format", metavar="csv|parquet|jsonl", help="help-export-format"),
     ] = "csv"
-    press: Annotated[str | None, typer.Option("--press", metavar="NAME", help="help-list-press")] = None
+    press: Annotated[
+        str | None, typer.Option("--press", metavar="NAME", help="help-list-press", autocompletion=stored_presses)
+    ] = None
     material: Annotated[str | None, typer.Option("--material", metavar="NAME", help="help-list-material")] = None
     since: Annotated[datetime | None, typer.Option("--from", metavar="DAY", help="help-list-from")] = None
     until: Annotated[datetime | None, typer.Option("--to", metavar="DAY", help="help-list-to")] = None
@@ -191,6 +194,8 @@ def _utc(day: datetime | None) -> datetime | None:
 
 
 def _list_runs(store: Store, chosen: Mapping[str, Any]) -> None:
+    if chosen["press"] is not None and chosen["press"] not in (known := tuple(store.presses())):
+        raise InputError(say("api-press-unknown", press=chosen["press"], known=known))
     heads = [say(f"terminal-list-{head}") for head in ("run", "started", "status", "press", "material")]
     write_table(heads, _run_rows(store, chosen))
 

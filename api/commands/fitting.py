@@ -48,9 +48,18 @@ Reproduce = Annotated[
         help="help-reproduce-paper",
     ),
 ]
+
+
+def method_names(incomplete: str) -> list[str]:
+    """Return the methods of a fit that begin as typed, for Tab."""
+    from softsensor.fitting.paper.procedures import METHODS
+
+    return [name for name in ("default", *METHODS) if name.startswith(incomplete)]
+
+
 MethodName = Annotated[
     str,
-    typer.Option("--method", metavar="NAME", help="help-method"),
+    typer.Option("--method", metavar="NAME", help="help-method", autocompletion=method_names),
 ]
 Averages = Annotated[bool, typer.Option("--averages", help="help-averages")]
 Shared = Annotated[

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -30,13 +30,26 @@ NAMED_RUNS = 1000
 def stored_runs(context: typer.Context, incomplete: str) -> list[str]:
     """Return the ids of the store that begin as typed, newest first, for Tab; none where no store can be asked."""
     from daq.store import every
+
+    def newest(store: Store) -> Iterator[str]:
+        runs = every(lambda cursor: store.runs(cursor=cursor, limit=200))
+        return (r.run for r in islice(runs, NAMED_RUNS))
+
+    return _asked_of_store(context, newest, incomplete)
+
+
+def stored_presses(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the store's presses that begin as typed, for Tab; none where no store can be asked."""
+    return _asked_of_store(context, lambda store: store.presses(), incomplete)
+
+
+def _asked_of_store(context: typer.Context, names: Callable[[Store], Iterable[str]], incomplete: str) -> list[str]:
     from daq.store.records import StoreUnavailable
 
     given = {key: context.params.get(key) for key in ("store", "config")}
     try:
         with opened_store(given["store"], given["config"]) as opened:
-            runs = every(lambda cursor: opened.runs(cursor=cursor, limit=200))
-            return [r.run for r in islice(runs, NAMED_RUNS) if r.run.startswith(incomplete)]
+            return [name for name in names(opened) if name.startswith(incomplete)]
     except (InputError, StoreUnavailable):
         return []
 

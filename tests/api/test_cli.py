@@ -463,7 +463,8 @@ def test_stored_runs_are_listed_under_heads_and_chosen_by_press_material_and_day
 
     assert listed() == ["second", "first"]
     assert listed("--material", "MDF") == ["first"]
-    assert listed("--press", "elsewhere") == []
+    assert main(["export", "--store", store_of_two, "--press", "elsewhere"]) == 2
+    assert "there is no press 'elsewhere'; there are: lab" in one_line(capsys)
     assert listed("--from", "2026-03-05") == ["second"]
     assert listed("--to", "2026-03-05") == ["first"]
     assert main(["export", "first", "--out", "x.csv", "--material", "MDF", "--store", store_of_two]) == 2
@@ -520,6 +521,8 @@ def test_the_shell_completes_commands_and_options(tmp_path, shell_asks):
     for command in ("export", "fit", "diagnose", "predict"):
         assert completed(f"kerntemp {command} --store {store} oak") == {"oak-1", "oak-2"}
     assert completed(f"kerntemp fit --store {tmp_path / 'none.sqlite'} oak") == set()
+    assert completed(f"kerntemp export --store {store} --press la") == {"lab"}
+    assert completed("kerntemp fit --method nelder_mead_") == {"nelder_mead_then_least_squares"}
     assert completed("kerntemp demo --hide paper") == {"paper_layer"}
     assert completed("kerntemp diagnose --rehearse-effect paper") == {"paper_layer"}
 
