@@ -40,7 +40,7 @@ def test_axe_finds_nothing_in_a_report_however_much_of_it_is_unfolded(
         fitted = softsensor.fit(SAMPLES[:3], PRESS, profiles=True)
         pages = {"light": fit_report(fitted.campaign), "dark": fit_report(fitted.campaign, language="de")}
     else:
-        found = softsensor.diagnose(SAMPLES[:8], PRESS, effects=SOUGHT)
+        found = softsensor.diagnose(SAMPLES[:6], PRESS, effects=SOUGHT)
         assert found.verdict == "named"
         pages = dict.fromkeys(("light", "dark"), diagnosis_report(found.diagnosis, "de"))
     for scheme, content in pages.items():
