@@ -507,6 +507,14 @@ def test_the_journal_groups_what_repeats_and_holds_press_events_and_notes(plant,
     expect(journal).not_to_contain_text("steam at the left")
     expect(journal).to_contain_text(words[0])
     assert "level=warning" in page.url
+    feed.store.log("info", "import", say("sense-following", presses=("lab",)))  # no process that runs
+    page.goto(address + "#/journal")
+    by_process = page.locator("main select").nth(1)
+    by_process.select_option("import")
+    expect(journal.get_by_role("row")).to_have_count(1)
+    page.reload()
+    expect(by_process).to_have_value("import")
+    expect(journal.get_by_role("row")).to_have_count(1)
     context.close()
 
 

@@ -17,9 +17,11 @@ export async function show(place, context) {
   const rows = el("div", { "data-testid": "journal" });
   const more = el("button", { type: "button", class: "button", hidden: true, onclick: () => load(true) }, text("page-more"));
   const { processes } = await get("/health");
+  const offered = new Set([PRESS, ...processes.map(({ name }) => name), asked.process].filter(Boolean));
+  const byProcess = choice("process", "page-process", [...offered].map((one) => [one, one === PRESS ? text("page-press-events") : one]));
   const filters = el("div", { class: "row" },
     choice("level", "page-level", ["info", "warning", "alarm"].map((one) => [one, text(`page-level-${one}`)])),
-    choice("process", "page-process", [[PRESS, text("page-press-events")], ...processes.map(({ name }) => [name, name])]),
+    byProcess,
     context.presses.length > 1 ? choice("press", "page-press", context.presses.map((one) => [one, one])) : null);
   place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-nav-journal")), filters),
     context.press ? noteForm(context, () => load(false)) : "", rows, more));
@@ -46,7 +48,17 @@ export async function show(place, context) {
     pressed = [...before.pressed, ...doings.items];
     cursors = { lines: entries.next_cursor, pressed: doings.next_cursor };
     more.hidden = !cursors.lines && !cursors.pressed;
+    offer();
     draw();
+  }
+
+  // Who wrote in the journal need not be one of the processes that run: an import, somebody's notes.
+  function offer() {
+    for (const { process } of lines) {
+      if (offered.has(process)) continue;
+      offered.add(process);
+      byProcess.querySelector("select").append(el("option", { value: process }, process));
+    }
   }
 
   function draw() {
