@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -110,51 +111,78 @@ def evaluate(
 ) -> RunState:
     """Solve one run and set up its least-squares rows; offsets are solved for on the way."""
     digest, unknowns = data.digest, layout.unknowns[run]
-    values = run_values(layout, run, theta, eta)
     own = [u.name for u in unknowns if not u.share_of]
     names = tuple(dict.fromkeys([*own, *layout.effect_names])) if tangents else ()
-    solution = digest.solve(layout.model, values, names)
+    solution = digest.solve(layout.model, run_values(layout, run, theta, eta), names)
     model = digest.observed(solution)
-    extra = _linear_rows(digest, model)
-    offset_rows, count = data(extra), extra.shape[-1]
-    late = np.full(len(digest.signals), scan_sd(digest.period_s))
-    own_panel = np.full(digest.panel_rows.shape[-1], data.panel_sd)
-    prior = 1.0 / np.concatenate([digest.offset_sd, [digest.insertion_sd], late, own_panel])
-    most = np.concatenate([np.full(count - len(own_panel), np.inf), MOST_OWN * own_panel])
-    plain = data(np.where(digest.valid, digest.y - model, 0.0))
-    offsets, free = bounded_offsets(offset_rows, plain, prior, most)
+    linear = _Linear.of(data, model)
     shared = {name: i for i, name in enumerate(layout.names)}
     centre = np.array([u.centre + (theta[shared[u.shared]] if u.shared in shared else 0.0) for u in unknowns])
     sd = np.array([u.sd for u in unknowns])
-    residual = np.concatenate([plain - offset_rows @ offsets, (centre - eta) / sd, -offsets * prior])
-    shift = extra @ offsets
-    misfit = digest.y - model - shift
+    residual = np.concatenate([linear.left, (centre - eta) / sd, -linear.offsets * linear.prior])
+    misfit = digest.y - model - linear.shift
     core = digest.bins(solution.core[:, None])[:, 0]
     validation = {c: digest.bins(solution.column(c)[:, None])[:, 0] for c in digest.cores}
-    if not tangents:
-        empty = np.zeros((len(residual), 0))
-        return RunState(eta, residual, empty, empty, offsets, misfit, model, core, validation, shift)
-    n, k, m = len(plain), len(unknowns), len(shared)
-    jacobian = np.zeros((len(residual), k + count))
-    outer = np.zeros((len(residual), m))
-    tangents_K = digest.observed_tangents(solution, names)
-    tangents_K = tangents_K + _shifted(digest, tangents_K, offsets)
-    rows = dict(zip(names, data(tangents_K).T, strict=True))
+    jacobian, outer = np.zeros((len(residual), 0)), np.zeros((len(residual), 0))
+    if tangents:
+        moved = digest.observed_tangents(solution, names)
+        moved = data(moved + _shifted(digest, moved, linear.offsets))
+        jacobian, outer = _jacobians(layout, run, theta, eta, linear, dict(zip(names, moved.T, strict=True)))
+    return RunState(eta, residual, jacobian, outer, linear.offsets, misfit, model, core, validation, linear.shift)
+
+
+class _Linear(NamedTuple):
+    """What enters linearly, at its least squares: offsets, insertion, late signals, the panel's own constants."""
+
+    offsets: Array
+    prior: Array
+    """One over their standard deviations about zero (n)."""
+    free: Array
+    """Whitened rows of those that are not held at a limit (entries, n)."""
+    left: Array
+    """Whitened readings minus model minus offsets (entries)."""
+    shift: Array
+    """What they take out (bins, signals). [K]"""
+
+    @staticmethod
+    def of(data: Whitened, model: Array) -> _Linear:
+        """Solve for them about a model (bins, signals). [°C]"""
+        digest = data.digest
+        rows = _linear_rows(digest, model)
+        white = data(rows)
+        late = np.full(len(digest.signals), scan_sd(digest.period_s))
+        own_panel = np.full(digest.panel_rows.shape[-1], data.panel_sd)
+        prior = 1.0 / np.concatenate([digest.offset_sd, [digest.insertion_sd], late, own_panel])
+        most = np.concatenate([np.full(rows.shape[-1] - len(own_panel), np.inf), MOST_OWN * own_panel])
+        plain = data(np.where(digest.valid, digest.y - model, 0.0))
+        offsets, free = bounded_offsets(white, plain, prior, most)
+        return _Linear(offsets, prior, white * free, plain - white @ offsets, rows @ offsets)
+
+
+def _jacobians(
+    layout: Unknowns, run: int, theta: Array, eta: Array, linear: _Linear, rows: Mapping[str, Array]
+) -> tuple[Array, Array]:
+    """Return the derivatives of a run's residual by its own numbers, offsets last, and by the shared ones.
+
+    `rows`: whitened derivatives of the model by name (entries).
+    """
+    unknowns, shared = layout.unknowns[run], {name: i for i, name in enumerate(layout.names)}
+    n, k, count = len(linear.left), len(unknowns), len(linear.offsets)
+    jacobian, outer = np.zeros((n + k + count, k + count)), np.zeros((n + k + count, len(shared)))
     for key in layout.effect_names:
         outer[:n, shared[key]] = rows[key]
     for j, u in enumerate(unknowns):
         if key := u.share_of:
-            size = theta[shared[key]] - layout.shared[shared[key]].centre
-            jacobian[:n, j] = rows[key] * size
+            jacobian[:n, j] = rows[key] * (theta[shared[key]] - layout.shared[shared[key]].centre)
             outer[:n, shared[key]] = rows[key] * max(1.0 + eta[j], 0.0)
         else:
             jacobian[:n, j] = rows[u.name] * u.slope(float(eta[j]))
-        jacobian[n + j, j] = 1.0 / sd[j]
+        jacobian[n + j, j] = 1.0 / u.sd
         if u.shared in shared:
-            outer[n + j, shared[u.shared]] = -1.0 / sd[j]
-    jacobian[:n, k:] = offset_rows * free
-    jacobian[n + k :, k:] = np.diag(prior)
-    return RunState(eta, residual, jacobian, outer, offsets, misfit, model, core, validation, shift)
+            outer[n + j, shared[u.shared]] = -1.0 / u.sd
+    jacobian[:n, k:] = linear.free
+    jacobian[n + k :, k:] = np.diag(linear.prior)
+    return jacobian, outer
 
 
 def bounded_offsets(rows: Array, plain: Array, prior: Array, most: Array) -> tuple[Array, np.ndarray]:
