@@ -41,6 +41,8 @@ class Present:
     channels: tuple[Channel, ...]
     run: RunRecord | None
     """The one being recorded."""
+    newest_run: RunRecord | None
+    """That one, else the newest that is over."""
     events: Sequence[StoredPressEvent]
     """Of that run."""
     late: Invalid | None
@@ -70,26 +72,17 @@ class Present:
 
 def present_of(store: Store, press: str, now: datetime) -> Present:
     """Return how a press stands."""
-    run = store.open_run(press)
-    events = store.press_events(press, since_scan=run.first_scan) if run else ()
-    number = store.newest_estimate_number(press)
-    found = store.estimates_after(press, number - 1, 1)
-    batch = store.scans_after(press, store.newest_scan_number(press) - 1, 1)
-    scan = batch.scans[-1] if batch.scans else None
+    newest, events, channels, scan, found, estimated = store.standing(press)
+    run = newest if newest is not None and newest.status is RunStatus.OPEN else None
     late = None if scan is None else _late(scan.utc, now)
     state: State = "unknown"
     if scan is not None and late is None:
-        before = None if run else next(iter(store.runs(press=press, limit=1).items), None)
-        left = before is not None and left_inside(
-            before, dict(zip((c.name for c in batch.channels), scan.values, strict=True))
-        )
+        reading = dict(zip((c.name for c in channels), scan.values, strict=True))
+        left = newest is not None and left_inside(newest, reading)
         state = "unknown" if left else state_of(events, run)
-    own = scan
-    if found and (scan is None or scan.number != number):
-        own = next((s for s in store.scans_after(press, number - 1, 1).scans if s.number == number), None)
-    utc = own.utc if found and own is not None else None
-    estimate = as_of_now(found[0], utc, state, run, now, late) if found else None
-    return Present(scan, tuple(batch.channels), run, events, late, state, estimate, utc)
+    utc = None if estimated is None else estimated.utc
+    estimate = None if found is None else as_of_now(found, utc, state, run, now, late)
+    return Present(scan, channels, run, newest, events, late, state, estimate, utc)
 
 
 def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State:
@@ -105,7 +98,7 @@ def left_inside(before: RunRecord, reading: Mapping[str, float]) -> bool:
     Parameters
     ----------
     before
-        The newest run, none being recorded.
+        The newest run.
     reading
         The newest scan by channel. [°C]
     """

@@ -49,6 +49,8 @@ _HIGHEST: Kept[tuple[str, str], tuple[int, float]] = Kept(PRESSES)
 """A run's highest core; more of them than a page of runs shows."""
 _IN_USE: Kept[tuple[object, ...], dict[str, float]] = Kept(PRESSES)
 """A press's numbers in force."""
+_DESCRIBED: Kept[str, dict[str, Any]] = Kept(PRESSES)
+"""A press file as JSON, by its text."""
 
 
 def phases_of(run: RunRecord) -> list[Phase]:
@@ -218,8 +220,7 @@ def highest_core(store: Store, run: RunRecord) -> float:
 def press_now(store: Store, press: str, press_file: str, now: datetime) -> PressNow:
     """Return one press as it stands."""
     present = present_of(store, press, now)
-    run, scan, live = present.run, present.scan, present.late is None
-    shown = run or next(iter(store.runs(press=press, limit=1).items), None)
+    run, shown, scan, live = present.run, present.newest_run, present.scan, present.late is None
     estimate = estimate_of(present, shown, now)
     time_s = scan.monotonic_s - run.zero_monotonic_s if run and scan and live else math.nan
     closed_s = run.moments.closed_s if run else math.nan
@@ -273,8 +274,10 @@ def _coefficients(store: Store, press: str, press_file: str, active: ModelRecord
 
 def press_description(press_file: str) -> dict[str, Any]:
     """Return the press file as JSON, empty where none was kept."""
-    if not press_file:
-        return {}
+    return _DESCRIBED.get(press_file, lambda: _described(press_file)) if press_file else {}
+
+
+def _described(press_file: str) -> dict[str, Any]:
     try:
         return parse_press(press_file).model_dump(mode="json")
     except InputError as error:

@@ -30,6 +30,7 @@ from daq.store import (
     recording,
     results,
     run_scans,
+    standing,
     upkeep,
 )
 from daq.store.archive import Checked
@@ -168,6 +169,7 @@ class Store:
     newest_scan_number = _reads(reading.newest_number)
     scans_after = _reads(reading.scans_after)
     press_events = _reads(reading.press_events)
+    standing = _reads(standing.standing)
     envelope = _reads(envelope.envelope)
 
     def run_for_file(

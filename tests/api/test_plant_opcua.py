@@ -204,14 +204,14 @@ def test_no_leave_to_open_stands_while_the_store_takes_its_time(tmp_path, store,
     hold, held = threading.Event(), threading.Event()
     with serving(store, tmp_path) as server:
         asyncio.run(becomes(server, (True, "Good")))
-        read_runs = store.open_run
+        read = store.standing
 
         def slow(press: str) -> Any:
             held.set()
             hold.wait(240)
-            return read_runs(press)
+            return read(press)
 
-        monkeypatch.setattr(store, "open_run", slow)
+        monkeypatch.setattr(store, "standing", slow)
         try:
             assert held.wait(240)
             asyncio.run(becomes(server, (False, "UncertainSubstituteValue")))

@@ -6,6 +6,7 @@ import sqlite3
 import string
 import tempfile
 import threading
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -306,6 +307,38 @@ def test_estimates_come_back_by_run_and_for_followers(store):
     assert [e.number for e in store.estimates_after("lab", 27)] == [28, 29]
     assert store.newest_estimate_number("lab") == 29
     assert store.newest_estimate_number("nowhere") == -1
+
+
+def test_how_a_press_stands_is_read_at_one_moment_whatever_is_written_meanwhile(store):
+    assert store.standing("lab") == (None, (), (), None, None, None)
+    key = store.register_press("lab", CHANNELS)
+    pressed = [
+        PressEvent(PressEventKind.INSERTED, 1000.2, 1000.2),
+        PressEvent(PressEventKind.CLOSED, 1000.4, 1000.4),
+    ]
+    store.append_scans(key, scans(0, 8), pressed, NewRun("r", 2, BEGAN, 1000.2))
+    behind = StoredEstimate(6, 1000.6, PressState.CLOSED, 60.0, 0.5, 59.0, 61.0, True)
+    store.append_estimates("lab", [behind])
+    ends = [PressEvent(PressEventKind.REMOVED, 1000.8, 1000.8)]
+    asked = store.database.reading
+
+    @contextmanager
+    def while_the_run_ends():
+        with asked() as connection:
+            yield connection
+        store.database.reading = asked
+        store.append_scans(key, scans(8, 1), ends, end=RunEnd("r", 8, BEGAN))
+
+    store.database.reading = while_the_run_ends
+    stood = store.standing("lab")
+    assert (stood.run.run, stood.run.status) == ("r", RunStatus.OPEN)
+    assert [e.kind for e in stood.events] == ["inserted", "closed"]
+    assert stood.channels == tuple(CHANNELS)
+    assert (stood.scan.number, stood.estimate, stood.estimated.number) == (7, behind, 6)
+    assert stood.estimated.utc == scans(6, 1)[0].utc
+    stands = store.standing("lab")
+    assert (stands.run.run, stands.run.status, stands.events) == ("r", RunStatus.CLOSED, ())
+    assert (stands.scan.number, stands.estimated.number) == (8, 6)
 
 
 def fit_json(run, value):
