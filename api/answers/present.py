@@ -39,12 +39,10 @@ class Present:
     scan: Scan | None
     """The newest, whatever its age."""
     channels: tuple[Channel, ...]
-    run: RunRecord | None
-    """The one being recorded."""
     newest_run: RunRecord | None
-    """That one, else the newest that is over."""
+    """The one being recorded, else the newest that is over."""
     events: Sequence[StoredPressEvent]
-    """Of that run."""
+    """Of the one being recorded."""
     late: Invalid | None
     """Why the newest scan is not of now."""
     state: State
@@ -52,6 +50,12 @@ class Present:
     """The newest, not valid where it is not of now; None before the first."""
     estimate_utc: datetime | None
     """Of its scan."""
+
+    @property
+    def run(self) -> RunRecord | None:
+        """The one being recorded."""
+        newest = self.newest_run
+        return newest if newest is not None and newest.status is RunStatus.OPEN else None
 
     @property
     def silent(self) -> bool:
@@ -73,16 +77,15 @@ class Present:
 def present_of(store: Store, press: str, now: datetime) -> Present:
     """Return how a press stands."""
     newest, events, channels, scan, found, estimated = store.standing(press)
-    run = newest if newest is not None and newest.status is RunStatus.OPEN else None
     late = None if scan is None else _late(scan.utc, now)
     state: State = "unknown"
     if scan is not None and late is None:
         reading = dict(zip((c.name for c in channels), scan.values, strict=True))
         left = newest is not None and left_inside(newest, reading)
-        state = "unknown" if left else state_of(events, run)
+        state = "unknown" if left else state_of(events, newest)
     utc = None if estimated is None else estimated.utc
-    estimate = None if found is None else as_of_now(found, utc, state, run, now, late)
-    return Present(scan, channels, run, newest, events, late, state, estimate, utc)
+    estimate = None if found is None else as_of_now(found, utc, state, newest, now, late)
+    return Present(scan, channels, newest, events, late, state, estimate, utc)
 
 
 def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State:

@@ -114,7 +114,7 @@ class _PressNodes:
 
 PressNews = tuple[Present, Sequence[StoredPressEvent]]
 """A press now, and its events that have not been shown yet."""
-NOTHING: PressNews = (Present(None, (), None, None, (), None, "unknown", None, None), ())
+NOTHING: PressNews = (Present(None, (), None, (), None, "unknown", None, None), ())
 """What is known of a press while the store does not answer."""
 
 

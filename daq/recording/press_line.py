@@ -185,7 +185,8 @@ class PressLine:
         if (change.press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
             self._press_file = change.press_file
             self._detector, self._late = _watchers(change.press)
-        self.settings, running = change.settings, zip(self._plans, self._scanner.loggers, strict=True)
+        self.settings = change.settings
+        running = zip(self._plans, self._scanner.loggers, strict=True)
         kept = {plan.settings.name: thread for plan, thread in running if plan in change.plans}
         threads = [
             kept.get(name := x.settings.name) or self._thread_of(x, change.loggers[name]) for x in change.plans

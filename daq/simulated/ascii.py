@@ -94,12 +94,11 @@ class AdamModule:
         return f"{value:+07.1f}"
 
 
-_SCAN_SETTINGS = {
-    "SENS:TEMP:TRAN:TC:RJUN:TYPE": ("_reference_internal", "INT"),
-    "SENS:TEMP:TRAN:TC:CHEC": ("_checks_open", "ON"),
-    "FORM:READ:CHAN": ("_shows_channel", "ON"),
-}
-"""What a scanning meter can be set to, by command: which setting, and what turns it on."""
+_REFERENCE_INTERNAL = "SENS:TEMP:TRAN:TC:RJUN:TYPE"
+_CHECKS_OPEN = "SENS:TEMP:TRAN:TC:CHEC"
+_SHOWS_CHANNEL = "FORM:READ:CHAN"
+_TURNED_ON_BY = {_REFERENCE_INTERNAL: "INT", _CHECKS_OPEN: "ON", _SHOWS_CHANNEL: "ON"}
+"""What turns a scanning meter's settings on, by the command that sets them."""
 _SCAN_IGNORED = frozenset({"UNIT:TEMP", "SENS:TEMP:NPLC", "FORM:READ:TIME", "FORM:READ:ALAR", "FORM:READ:UNIT"})
 """Commands it takes that change nothing here."""
 
@@ -123,9 +122,8 @@ class ScanningMeter:
 
     def _reset(self) -> None:
         self._scan: list[int] = []
-        self._reference_internal = False
-        self._checks_open = False
-        self._shows_channel = False
+        self._on: set[str] = set()
+        """Commands whose settings are on."""
         self._errors: list[str] = []
 
     def split(self, buffer: bytearray) -> bytes | None:
@@ -161,12 +159,11 @@ class ScanningMeter:
         elif head == "*CLS":
             self._errors.clear()
         elif head == "CONF:TEMP":
-            self._reference_internal = self._checks_open = self._shows_channel = False
+            self._on.clear()
         elif head == "ROUT:SCAN":
             self._scan = [int(n) for n in re.findall(r"\d{3}", rest)]
-        elif head in _SCAN_SETTINGS:
-            setting, on = _SCAN_SETTINGS[head]
-            setattr(self, setting, rest.startswith(on))
+        elif head in _TURNED_ON_BY:
+            self._on = self._on | {head} if rest.startswith(_TURNED_ON_BY[head]) else self._on - {head}
         elif head not in _SCAN_IGNORED:
             self._errors.append('-113,"Undefined header"')
 
@@ -175,14 +172,14 @@ class ScanningMeter:
         fields = []
         for channel in self._scan:
             fields.append(f"{self._reading(values[channel % 100 - 1]):+.8E}")
-            if self._shows_channel:
+            if _SHOWS_CHANNEL in self._on:
                 fields.append(str(channel))
         return fields
 
     def _reading(self, value: float) -> float:
         if math.isnan(value):
-            return 9.9e37 if self._checks_open else COLD_JUNCTION_C + 1.7
-        if self._reference_internal:
+            return 9.9e37 if _CHECKS_OPEN in self._on else COLD_JUNCTION_C + 1.7
+        if _REFERENCE_INTERNAL in self._on:
             return value
         return float(compensated(voltage(value) - voltage(COLD_JUNCTION_C), 0.0))
 

@@ -116,10 +116,8 @@ def evaluate(
     solution = digest.solve(layout.model, run_values(layout, run, theta, eta), names)
     model = digest.observed(solution)
     linear = _Linear.of(data, model)
-    shared = {name: i for i, name in enumerate(layout.names)}
-    centre = np.array([u.centre + (theta[shared[u.shared]] if u.shared in shared else 0.0) for u in unknowns])
-    sd = np.array([u.sd for u in unknowns])
-    residual = np.concatenate([linear.left, (centre - eta) / sd, -linear.offsets * linear.prior])
+    away = (start_eta(layout, run, theta) - eta) / np.array([u.sd for u in unknowns])
+    residual = np.concatenate([linear.left, away, -linear.offsets * linear.prior])
     misfit = digest.y - model - linear.shift
     core = digest.bins(solution.core[:, None])[:, 0]
     validation = {c: digest.bins(solution.column(c)[:, None])[:, 0] for c in digest.cores}

@@ -74,7 +74,7 @@ class Clock:
         """Return how long closing and opening take, each with its derivative by what stretches it. [s]"""
         closing = self.moments.ramp_s + values.get("ramp_s", 0.0)
         opening = OPENING_RAMP_S + values.get(OPENING_RAMP, 0.0)
-        return _lasting(closing), _lasting(opening)
+        return ramp_length(closing), ramp_length(opening)
 
     def shares(self, values: Mapping[str, float], names: tuple[str, ...] = (), p: int = 0) -> tuple[Array, Array]:
         """Return the shares of idle, open and closed (rows, 3), and their derivatives (rows, 3, p)."""
@@ -129,15 +129,16 @@ class Clock:
         return self.present + moved - there, change
 
 
-def _lasting(asked_s: float) -> tuple[float, float]:
-    """Return how long a ramp takes that is asked to take so long, and its derivative by that.
+def ramp_length(asked_s: float) -> tuple[float, float]:
+    """Return how long a ramp takes that is asked to take so long, and its derivative by that. [s]
 
     As asked from twice the shortest on, smoothly towards the shortest below: a search that has shortened a ramp as
     far as it goes feels that nothing is left to gain, and does not reckon with a step that changes nothing.
     """
-    over = asked_s / SHORTEST_RAMP_S - 2.0
-    share = 1.0 if over >= 0.0 else float(np.exp(over))
-    return (asked_s if over >= 0.0 else SHORTEST_RAMP_S * (1.0 + share)), share
+    if asked_s >= 2.0 * SHORTEST_RAMP_S:
+        return asked_s, 1.0
+    share = float(np.exp(asked_s / SHORTEST_RAMP_S - 2.0))
+    return SHORTEST_RAMP_S * (1.0 + share), share
 
 
 def ramp(edges: Array, middle: float, length: float, *, mean: bool) -> tuple[Array, Array, Array]:

@@ -20,7 +20,7 @@ from daq.records import Array, InputError
 from daq.words import say
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.timing import OPENING_RAMP_S, SHORTEST_RAMP_S
+from softsensor.heat.timing import OPENING_RAMP_S, ramp_length
 
 Integers = NDArray[np.int64]
 
@@ -103,7 +103,7 @@ def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tu
     temperatures = np.stack([_filled(run.time_s, run.columns[b.column or ""]) for b in ends], axis=1)
     came = np.array([moments.inserted_s, moments.closed_s, moments.opened_s])
     never = np.where(np.isnan(came), np.inf, came)
-    switches = np.array([*never, max(moments.ramp_s, SHORTEST_RAMP_S), OPENING_RAMP_S])
+    switches = np.array([*never, ramp_length(moments.ramp_s)[0], OPENING_RAMP_S])
     places = np.stack([case.places[case.labels.index(label)] for label in labels])
     slab = Slab(
         stack.dx,
