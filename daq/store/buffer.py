@@ -10,13 +10,14 @@ import json
 import os
 import shutil
 import sqlite3
-import zlib
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
+from daq.store.buffer_file import Row, open_file, opened, sealed
+from daq.store.buffer_salvage import salvaged
 from daq.store.file_rescue import code_of, files_of, passes
 from daq.store.records import StoreUnavailable
 from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
@@ -31,27 +32,25 @@ _OVERHEAD = 1.3
 
 _TYPICAL_BYTES = 700.0
 """What a write batch of some 16 channels takes as JSON, until a larger one is seen."""
-_TABLES = """
-CREATE TABLE IF NOT EXISTS parcel (number INTEGER PRIMARY KEY, content TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS session (session INTEGER PRIMARY KEY, content TEXT NOT NULL);
-"""
-_MOST_MISSES = 5000
-"""So many row numbers in a row that cannot be read are taken for the end: a page holds some five rows."""
 _OLDEST = "SELECT number, content FROM parcel WHERE number > ? ORDER BY number LIMIT ?"
-
-Row = tuple[int, str]
 
 
 class Buffer:
     """Write batches and journal lines on the local disk, oldest first.
 
     `alarm` is called with what happened to a damaged file, and with why one cannot be used now, a full disk say:
-    it is tried again with every use, and what may wait in it is the oldest there is all the same.
+    it is tried again with every use, and what may wait in it is the oldest there is all the same. `alive` is
+    called now and then while a damaged file is read: a large one takes minutes.
     """
 
-    def __init__(self, path: Path, alarm: Callable[[Message], None] = lambda message: None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        alarm: Callable[[Message], None] = lambda message: None,
+        alive: Callable[[], None] = lambda: None,
+    ) -> None:
         self.path = path
-        self._alarm = alarm
+        self._alarm, self._alive = alarm, alive
         self._bytes = _TYPICAL_BYTES
         self._count = self._handled = 0
         self._counted = False  # nobody knows how much is in it: unusable, or damaged before its first count
@@ -88,7 +87,7 @@ class Buffer:
     def append(self, items: Sequence[WriteBatch | Entry]) -> None:
         """Keep items durably, all or none."""
         self._first_count()
-        texts = [_sealed(encode_item(item)) for item in items]
+        texts = [sealed(encode_item(item)) for item in items]
 
         def insert(connection: sqlite3.Connection) -> None:
             connection.execute("BEGIN IMMEDIATE")
@@ -181,7 +180,7 @@ class Buffer:
         try:
             for number, text in rows:
                 try:
-                    items.append((number, decode_item(_opened(text))))
+                    items.append((number, decode_item(opened(text))))
                 except (ValueError, KeyError, TypeError, IndexError) as unread:
                     if number not in self._unreadable:
                         faults.append((self.set_aside(str(text), str(unread)), spoken(unread)))
@@ -208,16 +207,17 @@ class Buffer:
     def _renew(self, error: sqlite3.Error) -> None:
         """Set the file aside and go on with what can be read of it, once a fresh one holds that."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        expected = self._count
-        rows, notes = _salvaged(self.path) if self.path.exists() else ([], {})
-        found = {number: text for number, text in rows if number > self._handled}
+        read, notes = salvaged(self.path, self._alive) if self.path.exists() else ({}, {})
+        found = {number: text for number, text in read.items() if number > self._handled}
         rows = sorted({**found, **self._offered}.items())
         fresh = self.path.with_name(f"{self.path.name}.fresh")
         _remove(fresh)
         try:
             with closing(open_file(fresh)) as connection:
                 connection.execute("BEGIN IMMEDIATE")
-                connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
+                for row in rows:
+                    connection.execute("INSERT INTO parcel VALUES (?, ?)", row)
+                    self._alive()
                 for session, content in {**notes, **self._known}.items():
                     _note(connection, session, content)
                 connection.execute("COMMIT")
@@ -227,29 +227,15 @@ class Buffer:
         aside = _moved_aside(self.path)
         fresh.rename(self.path)
         self._known.update({**notes, **self._known})
-        self._count = len(rows)
         gaps = rows[-1][0] - rows[0][0] + 1 - len(rows) if rows else 0
-        lost = max(expected - len(rows), 0) if self._counted else gaps
+        lost = max(self._count - len(rows), 0) if self._counted else gaps
+        self._count = len(rows)
         if aside.exists():
             files = {"file": str(self.path), "aside": str(aside), "error": reason_of(error)}
             code = "buffer-damaged" if self._counted else "buffer-damaged-uncounted"
             self._alarm(say(code, kept=len(rows), lost=lost, **files))
         else:
             self._alarm(say("buffer-gone", file=str(self.path), error=reason_of(error), lost=lost))
-
-
-def open_file(path: Path) -> sqlite3.Connection:
-    """Open a buffer's file, with its tables, so that a row written is on the disk. Raises `sqlite3.Error`."""
-    connection = sqlite3.connect(path, isolation_level=None, timeout=5.0)
-    try:
-        connection.execute("PRAGMA locking_mode=EXCLUSIVE")  # else a shared file: no room on a full disk
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.executescript(_TABLES)
-    except sqlite3.Error:
-        connection.close()
-        raise
-    return connection
 
 
 def hours_of_room(folder: Path, per_second: float, batch_bytes: float = _TYPICAL_BYTES) -> float:
@@ -270,22 +256,6 @@ def set_aside(beside: Path, text: str, why: str) -> Path:
         file.flush()
         os.fsync(file.fileno())
     return path
-
-
-def _sealed(text: str) -> str:
-    """Return a text with its sum before it: SQLite itself does not notice a wrong bit within a value."""
-    return f"{zlib.crc32(text.encode()):08x}{text}"
-
-
-def _opened(text: str) -> str:
-    """Undo `_sealed`; files of older versions carry no sums."""
-    if not isinstance(text, str):  # what a damaged page makes of it
-        raise ValueError(say("buffer-sum-wrong"))
-    if text.startswith("{"):
-        return text
-    if _sealed(text[8:]) != text:
-        raise ValueError(say("buffer-sum-wrong"))
-    return text[8:]
 
 
 def _sessions_of(items: Sequence[WriteBatch | Entry]) -> set[int]:
@@ -314,15 +284,15 @@ def _note(connection: sqlite3.Connection, session: int, content: dict[str, Any] 
     if content is None:
         connection.execute("DELETE FROM session WHERE session = ?", (session,))
     else:
-        sealed = _sealed(json.dumps(content))
-        connection.execute("INSERT OR REPLACE INTO session VALUES (?, ?)", (session, sealed))
+        text = sealed(json.dumps(content))
+        connection.execute("INSERT OR REPLACE INTO session VALUES (?, ?)", (session, text))
 
 
 def _notes(connection: sqlite3.Connection) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield what is known of each session; a session whose note cannot be read begins anew."""
     for session, content in connection.execute("SELECT session, content FROM session"):
         with suppress(ValueError):
-            yield session, json.loads(_opened(content))
+            yield session, json.loads(opened(content))
 
 
 def _forget_notes(connection: sqlite3.Connection) -> dict[int, dict[str, Any]]:
@@ -353,42 +323,6 @@ def _moved_aside(path: Path) -> Path:
     with suppress(FileNotFoundError):
         Path(f"{path}-shm").unlink()
     return aside
-
-
-def _salvaged(path: Path) -> tuple[list[Row], dict[int, dict[str, Any]]]:
-    """Return the rows and sessions of a damaged file that can be read."""
-    rows: list[Row] = []
-    notes: dict[int, dict[str, Any]] = {}
-    try:
-        connection = sqlite3.connect(path, isolation_level=None)
-    except sqlite3.Error:
-        return rows, notes
-    with closing(connection):
-        with suppress(sqlite3.Error):
-            connection.execute("PRAGMA writable_schema=ON")  # also reads a file that is shorter than it says
-        with suppress(sqlite3.Error, UnicodeDecodeError):
-            notes.update(_notes(connection))
-        rows += _readable_rows(connection)
-    return rows, notes
-
-
-def _readable_rows(connection: sqlite3.Connection) -> Iterator[Row]:
-    """Yield the rows of a table some of whose pages cannot be read: a page after a bad one is found by number."""
-    last, misses = 0, 0
-    while misses < _MOST_MISSES:
-        try:
-            for number, text in connection.execute(
-                "SELECT number, content FROM parcel WHERE number > ? ORDER BY number", (last,)
-            ):
-                if number <= last:
-                    raise sqlite3.DatabaseError("rows out of order")  # or this would never end
-                if isinstance(text, str):
-                    yield number, text
-                last, misses = number, 0
-        except (sqlite3.Error, UnicodeDecodeError):
-            last, misses = last + 1, misses + 1
-        else:
-            return
 
 
 class _Sessions(MutableMapping[int, dict[str, Any]]):

@@ -8,7 +8,8 @@ from contextlib import closing
 from pathlib import Path
 
 from daq.records import InputError
-from daq.store.buffer import hours_of_room, open_file
+from daq.store.buffer import hours_of_room
+from daq.store.buffer_file import open_file
 from daq.store.file_rescue import remove_trial
 from daq.tables import reason_of
 from daq.words import say

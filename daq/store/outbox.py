@@ -63,7 +63,7 @@ class Outbox:
         self._journal = journal or (lambda level, message: None)
         self._pending = Pending(partial(self._journal, "alarm"))
         """Alarms of the buffer, journalled by the thread."""
-        self._buffer = None if buffer is None else Buffer(buffer, self._pending.add)
+        self._buffer = None if buffer is None else Buffer(buffer, self._pending.add, self._moves)
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)

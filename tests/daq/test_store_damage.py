@@ -16,6 +16,7 @@ import pytest
 
 from daq.store import NewRun, StoreUnavailable, open_store
 from daq.store.buffer import Buffer
+from daq.store.buffer_file import open_file
 from daq.store.outbox import Outbox
 from daq.store.session_placement import session_key
 from daq.store.waiting import open_when_ready
@@ -289,6 +290,45 @@ def full_of(folder, texts):
     buffer = Buffer(path, alarms.append)
     buffer.append(entries(texts))
     return path, buffer, alarms
+
+
+@pytest.mark.parametrize("running", [False, True], ids=["at start", "while running"])
+@pytest.mark.parametrize("pages", [(0,), (1,), (0, 1)], ids=["first", "root", "both"])
+def test_of_a_buffer_whose_first_or_root_page_is_destroyed_all_that_was_not_delivered_goes_on(
+    tmp_path, pages, running
+):
+    texts = [f"{n} {'x' * 250}" for n in range(400)]
+    path, buffer, alarms = full_of(tmp_path, texts)
+    buffer.sessions[-7] = {"channels": [["top_1", "C"]], "press_file": "press file"}
+    buffer.remove(buffer.oldest(150)[-1][0])
+    for page in pages:
+        spoil(path, 4096 * page, 4096, b"\xa5")
+    signs = []
+    if not running:
+        buffer = Buffer(path, alarms.append, lambda: signs.append(None))
+    assert drained(buffer) == texts[150:]
+    assert running or len(signs) > 250  # a large one takes minutes, and who is at work must not count as standing
+    assert dict(buffer.sessions) == {-7: {"channels": [["top_1", "C"]], "press_file": "press file"}}
+    code = "buffer-damaged" if running else "buffer-damaged-uncounted"
+    assert [(one.code, one.arguments["kept"], one.arguments["lost"]) for one in alarms] == [(code, 250, 0)]
+    assert not list(tmp_path.glob("*.pages*"))
+
+
+def test_rows_in_the_log_that_a_kill_left_are_salvaged_too(tmp_path):
+    texts = [f"{n} {'x' * 900}" for n in range(90)]
+    path, _, alarms = full_of(tmp_path, texts[:60])
+    late = tmp_path / "late.sqlite"
+    Buffer(late).append(entries(texts[60:]))
+    with closing(sqlite3.connect(late)) as connection:
+        rows = connection.execute("SELECT number + 60, content FROM parcel").fetchall()
+    killed = tmp_path / "killed.sqlite"
+    with closing(open_file(path)) as connection:
+        connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
+        for ending in ("", "-wal"):
+            shutil.copy(f"{path}{ending}", f"{killed}{ending}")
+    spoil(killed, 0, 8192, b"\xa5")
+    assert drained(Buffer(killed, alarms.append)) == texts
+    assert all(one.arguments["lost"] == 0 for one in alarms)
 
 
 def put_note(path, session, content):
