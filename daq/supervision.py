@@ -96,11 +96,44 @@ class Pending(Generic[T]):
             del self._waiting[0]
 
 
-class SupervisedThread:
-    """Does its work until it returns; an exception begins it anew, and is reported once until all is well again.
+class Faults:
+    """What work meets that nobody foresaw: reported once until all is well again.
 
     All is well when the work says so (`worked`), or a step of `steps` has ended well since.
     """
+
+    def __init__(self, name: str, journal: Callable[[Message], None], steps: Steps | None = None) -> None:
+        self.newest: Message | None = None
+        """Why the work last ended, until it has gone well again."""
+        self._name, self._pending = name, Pending(journal)
+        self._steps, self._done = steps, 0
+
+    def worked(self) -> None:
+        """Note that all is well."""
+        self.newest = None
+        self.hand_over()
+
+    def failed(self, error: BaseException) -> None:
+        """Note an exception and report it, once for each that differs from the one before."""
+        fault = say("thread-failed", thread=self._name, why=unexpected(error))
+        known, self.newest = self.newest, fault
+        if self._steps is not None and self._steps.done > self._done:
+            known, self._done = None, self._steps.done
+        if known != fault:
+            LOG.error("%s", fault, exc_info=error)
+            self._pending.add(fault)
+        self.hand_over()
+
+    def hand_over(self) -> None:
+        """Journal the faults not journalled yet; what the journal does not take is reported with the next."""
+        try:
+            self._pending.hand_over()
+        except Exception:
+            LOG.exception("journal")
+
+
+class SupervisedThread:
+    """Does its work until it returns; an exception begins it anew, and is reported as `Faults` does."""
 
     def __init__(
         self,
@@ -109,10 +142,7 @@ class SupervisedThread:
         journal: Callable[[Message], None],
         steps: Steps | None = None,
     ) -> None:
-        self.fault: Message | None = None
-        """Why the work last ended, until it has gone well again."""
-        self._work, self._pending = work, Pending(journal)
-        self._steps, self._done = steps, 0
+        self._work, self._faults = work, Faults(name, journal, steps)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._ending = threading.Event()
 
@@ -130,34 +160,24 @@ class SupervisedThread:
         """Whether it works."""
         return self._thread.is_alive()
 
+    @property
+    def fault(self) -> Message | None:
+        """Why the work last ended, until it has gone well again."""
+        return self._faults.newest
+
     def worked(self) -> None:
         """Note that all is well."""
-        self.fault = None
-        self._journal_faults()
+        self._faults.worked()
 
     def failed(self, error: BaseException) -> None:
         """Note an exception and report it, once for each that differs from the one before."""
-        fault = say("thread-failed", thread=self._thread.name, why=unexpected(error))
-        known, self.fault = self.fault, fault
-        if self._steps is not None and self._steps.done > self._done:
-            known, self._done = None, self._steps.done
-        if known != fault:
-            LOG.error("%s", fault, exc_info=error)
-            self._pending.add(fault)
-        self._journal_faults()
-
-    def _journal_faults(self) -> None:
-        """Journal the faults not journalled yet; what the journal does not take is reported with the next."""
-        try:
-            self._pending.hand_over()
-        except Exception:
-            LOG.exception("journal")
+        self._faults.failed(error)
 
     def _run(self) -> None:
         last = False
         while not last:
             last = self._ending.is_set()
-            self._journal_faults()
+            self._faults.hand_over()
             try:
                 self._work()
             except BaseException as error:  # noqa: BLE001 - whatever it is, the work must go on
@@ -166,3 +186,17 @@ class SupervisedThread:
                 self._ending.wait(RESTART_S)
             else:
                 return
+
+
+class StandstillAlarm:
+    """Journals that something stands still, once while it does, in a thread: it may wait for the journal."""
+
+    def __init__(self, journal: Callable[[Message], None]) -> None:
+        self._journal, self._stands = journal, False
+
+    def report(self, why: Message | None) -> None:
+        """Take why something stands still now, None where nothing does."""
+        if why is not None and not self._stands:
+            LOG.error("%s", why)
+            SupervisedThread("stalled", lambda: self._journal(why), lambda fault: None).start()
+        self._stands = why is not None

@@ -20,7 +20,7 @@ from daq.records import InputError
 from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import STALLED_S, Steps, SupervisedThread
+from daq.supervision import STALLED_S, StandstillAlarm, Steps, SupervisedThread
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.serve")
@@ -78,8 +78,7 @@ class _AlarmWatch:
         self._store, self._ways, self._clock, self._began = store, ways, clock, clock()
         self._stop = threading.Event()
         looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
-        self._reported = False
-        """Whether what stands still now is reported."""
+        self._standstill = StandstillAlarm(self._journal)
         self._threads = [
             SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._journal, looking),
             SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._journal, sending),
@@ -97,10 +96,7 @@ class _AlarmWatch:
     def stalled(self) -> Message | None:
         """Return why one of the two stands still, or None; it is journalled once."""
         why = self._looking.stalled() or self._sending.stalled()
-        if why is not None and not self._reported:
-            LOG.error("%s", why)  # journalled by a thread: the store may be what they wait for
-            SupervisedThread("stalled", lambda: self._journal(why), lambda fault: None).start()
-        self._reported = why is not None
+        self._standstill.report(why)
         return why
 
     def _look(self) -> None:

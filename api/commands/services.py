@@ -71,6 +71,7 @@ def serve(
     from daq.process.stopping import outlive_hangup
     from daq.store.records import StoreUnavailable
     from daq.store.store import open_store
+    from daq.store.waiting import ending_reported
 
     outlive_hangup()
     path = Path(CONFIG_NAME) if store is not None and config is None else config_path(config)
@@ -86,7 +87,7 @@ def serve(
         ways = ways_of(settings.email, settings.webhook, opened.label) if settings else []
         bound = listening.bind()
         write_line(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
-        with watching(opened, ways) as stalled:
+        with ending_reported(opened, "serve"), watching(opened, ways) as stalled:
             resins = {press.name: press.resin for press in (settings.press if settings else ()) if press.resin}
             headers = {press.name: press.header for press in (settings.press if settings else ())}
             run_server(make_server(opened, tokens, listening, resins, headers, stalled), bound)
@@ -101,6 +102,7 @@ def refit(
     """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
     from daq.process.config import load_config
     from daq.store.store import open_store
+    from daq.store.waiting import ending_reported
     from softsensor.jobs import night as nightly
 
     if roll_back:
@@ -115,7 +117,7 @@ def refit(
     names = [*unsound, *(press.name for press in settings.press)]
     failed: list[Message] = []
     outcomes: dict[str, NightOutcome] = {}
-    with open_store(settings.store.url) as store:
+    with open_store(settings.store.url) as store, ending_reported(store, "refit"):
         nights = _nights(store, settings, unsound, workers or settings.refit.workers, dask or settings.refit.dask)
         with working(say("terminal-progress-refitting", presses=len(names)), len(names)) as done:
             for outcome in nights:

@@ -20,6 +20,8 @@ from starlette.types import Receive, Scope, Send
 from api.http.news import Position, Standpoint, estimate_event, newest_position, news, now_of_all
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
+from daq.supervision import Faults, StandstillAlarm, Steps
+from daq.words import Message
 
 POLL_S = 0.05
 """How often the store is asked for news; well below a scan period. [s]"""
@@ -31,6 +33,8 @@ QUEUE_EVENTS = 2000
 """A listener that lags this far behind is let go; it comes back with Last-Event-ID."""
 MAX_LISTENERS = 200
 """Each holds a connection and its place in the queue; a hall has some tens of screens."""
+AGAIN_S = 1.0
+"""After a fault, or while the store is away, it is asked again after this. [s]"""
 LOG = logging.getLogger("kerntemp.serve")
 
 
@@ -46,6 +50,9 @@ class Hub:
         """What was sent last of each press's newest estimate."""
         self._looked_s = -math.inf
         self._task: asyncio.Task[None] | None = None
+        self._steps = Steps("live events")
+        self._faults = Faults(self._steps.name, self._journal)
+        self._standstill = StandstillAlarm(self._journal)
         self._lock = asyncio.Lock()
         self._closed = False
 
@@ -53,6 +60,12 @@ class Hub:
     def full(self) -> bool:
         """Whether no further listener is taken."""
         return self._closed or len(self._queues) >= self._max_listeners
+
+    def stalled(self) -> Message | None:
+        """Return why nobody gets events now; None while they come, or the store is away."""
+        why = self._steps.stalled()
+        self._standstill.report(why)
+        return self._faults.newest or why
 
     async def join(self, last_event_id: str) -> Listener | None:
         """Take a listener in: what was missed, then everything stored from now on. None where it is full."""
@@ -67,7 +80,7 @@ class Hub:
                 behind, here = Position.parse(last_event_id), self._position
                 missed = await asyncio.to_thread(self._missed, behind, here)
             self._queues.add(queue)
-        if self._task is None:
+        if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._follow())
         return Listener(missed, queue)
 
@@ -82,13 +95,16 @@ class Hub:
                     if self._closed or not self._queues:
                         self._task, self._position = None, None
                         return
-                    self._hand_out(await asyncio.to_thread(self._read))
+                    with self._steps.step():
+                        self._hand_out(await asyncio.to_thread(self._read))
+                if self._faults.newest is not None:
+                    await asyncio.to_thread(self._faults.worked)
             except StoreUnavailable as error:
                 LOG.warning("%s", error)
-                await asyncio.sleep(1.0)
-            except Exception:
-                LOG.exception("a fault while following the store; going on")
-                await asyncio.sleep(1.0)
+                await asyncio.sleep(AGAIN_S)
+            except Exception as error:  # noqa: BLE001 - whatever it is, those who listen must get what comes next
+                await asyncio.to_thread(self._faults.failed, error)
+                await asyncio.sleep(AGAIN_S)
             await asyncio.sleep(POLL_S)
 
     def _begin(self) -> Position:
@@ -132,6 +148,9 @@ class Hub:
                     queue.put_nowait(None)
                     break
                 queue.put_nowait(event)
+
+    def _journal(self, fault: Message) -> None:
+        self._store.log("alarm", "serve", fault)
 
     def close(self) -> None:
         """End all streams, for the server's end."""

@@ -125,8 +125,8 @@ class _Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     def _give_sign_of_life(self) -> None:
-        """Feed the watchdog, unless what works beside the server stands still."""
-        if why := self._stalled():
+        """Feed the watchdog, unless what works beside the server stands still, or nobody gets live events."""
+        if why := self._stalled() or self.config.app.state.hub.stalled():  # type: ignore[union-attr]
             self._notifier.status(str(why))
         else:
             self._notifier.alive(f"{len(self.server_state.connections)} connections")

@@ -18,7 +18,7 @@ from daq.process.stopping import stop_on_signals
 from daq.records import InputError
 from daq.store import Store, StoreUnavailable
 from daq.store.records import in_status
-from daq.store.waiting import RETRY_S, open_when_ready
+from daq.store.waiting import RETRY_S, ending_reported, open_when_ready
 from daq.supervision import BEAT_S
 from daq.words import Message, say, spoken
 
@@ -42,7 +42,7 @@ def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None =
     store = open_when_ready(config.store.url, stop, LOG)
     if store is None:
         return
-    with store:
+    with store, ending_reported(store, PROCESS):
         _Feeds(config, tokens, store, stop).run()
 
 

@@ -1,14 +1,17 @@
-"""Opening a store that may not be there yet."""
+"""The beginning and the end of a process over a store: one that may not be there yet, and what nobody foresaw."""
 
 from __future__ import annotations
 
 import logging
 import threading
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 
 from daq.address import Address
+from daq.records import InputError
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store, open_store
+from daq.supervision import unexpected
 from daq.words import say, spoken
 
 RETRY_S = 2.0
@@ -32,3 +35,16 @@ def open_when_ready(url: str | Address, stop: threading.Event, log: logging.Logg
                 unless_ready.pop_all()
                 return store
     return None
+
+
+@contextmanager
+def ending_reported(store: Store, process: str) -> Iterator[None]:
+    """Journal an end of a process that nobody foresaw as an alarm; the service manager begins it anew."""
+    try:
+        yield
+    except (InputError, StoreUnavailable):
+        raise
+    except Exception as error:
+        with suppress(Exception):  # the error itself is raised whatever the journal takes
+            store.log("alarm", process, say("process-failed", process=process, why=unexpected(error)))
+        raise

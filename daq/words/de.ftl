@@ -506,6 +506,7 @@ model-rolled-back = zurückgenommen
 model-through-api = über die API
 model-version-missing = Modellversion '{ $version }' ist nicht im Datenspeicher
 model-version-taken = Modellversion '{ $version }' ist schon im Datenspeicher; Versionen ändern sich nie
+process-failed = { $process } wurde beendet: { $why }
 recipe-damaged = Rezept { $recipe } ist im Datenspeicher { $store } beschädigt und nicht lesbar; seine Werte unter demselben Namen neu angeben
 recipe-unknown = Rezept '{ $recipe }' gibt es nicht; es gibt: { $known }
 restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }

@@ -506,6 +506,7 @@ model-rolled-back = rolled back
 model-through-api = through the API
 model-version-missing = model version '{ $version }' is not in the store
 model-version-taken = model version '{ $version }' is in the store already; versions never change
+process-failed = { $process } has ended: { $why }
 recipe-damaged = recipe { $recipe } is damaged in store { $store } and cannot be read; give its values again under the same name
 recipe-unknown = there is no recipe '{ $recipe }'; there are: { $known }
 restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }

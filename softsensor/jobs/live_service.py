@@ -28,7 +28,7 @@ from daq.process.stopping import stop_on_signals
 from daq.records import InputError, PressState, Scan
 from daq.store import RunRecord, ScanBatch, Store, StoredEstimate, StoreUnavailable
 from daq.store.records import ScansUnreadable, in_status
-from daq.store.waiting import open_when_ready
+from daq.store.waiting import ending_reported, open_when_ready
 from daq.supervision import BEAT_S, Pending
 from daq.words import Message, say, spoken
 from softsensor.jobs.first_start import WorkKind, compile_for
@@ -76,7 +76,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
     store = open_when_ready(config.store.url, stop, LOG)
     if store is None:
         return
-    with store, Fitter() as fitter:
+    with store, ending_reported(store, PROCESS), Fitter() as fitter:
         followers = [
             Guarded(partial(Follower, store, own, press, RunFits(store, own.name, press, fitter), _resin_of(own)))
             for own, press in presses

@@ -1,8 +1,10 @@
 """Threads that stand still beside the one that gives signs of life: it is told, and the watchdog starves."""
 
+import shutil
 import threading
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
@@ -10,8 +12,11 @@ import daq.supervision
 from api.alarms import watch
 from api.alarms.watch import watching
 from api.alarms.ways import Webhook, ways_of
+from api.commands import publishing, services
+from api.http import live
 from api.http import server as http_server
-from api.http.server import Listening, make_server
+from api.http.live import Hub
+from api.http.server import Listening, _Server, address_of, make_server
 from api.http.tokens import TokenFile
 from api.plant import service
 from api.plant.leave import LeaveFeed
@@ -19,12 +24,18 @@ from api.plant.mqtt import Broker, Publisher
 from api.plant.opcua import PressServer
 from daq.process.config import Config, MqttSettings, OpcuaSettings, StoreSettings
 from daq.process.notify import Notifier
-from daq.records import Channel
+from daq.records import Channel, Quality, Scan
 from daq.store import Store, open_store
+from daq.supervision import unexpected
+from daq.words import say
+from softsensor.jobs import live_service
 from tests.api.test_alarms import HOT, free_port, hook
+from tests.api.test_live import Stream
 from tests.api.test_plant_mqtt import Broker as Mosquitto
 from tests.api.test_server import running
 from tests.patience import wait_until
+
+LAB_FILE = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 
 
 @pytest.fixture
@@ -174,3 +185,87 @@ def test_a_feed_of_the_plant_that_stands_still_is_told_and_starves_the_watchdog(
             free.set()
             stop.set()
             feeds.join(240)
+
+
+def test_while_live_events_fail_it_is_an_alarm_and_the_watchdog_starves_until_they_come_again(
+    stored, tmp_path, monkeypatch, beats
+):
+    monkeypatch.setattr(live, "AGAIN_S", 0.02)
+    key = stored.register_press("lab", (Channel("platen_top"),))
+    broken, read = threading.Event(), Hub._read
+
+    def reading(self):
+        if broken.is_set():
+            raise KeyError("top_1")
+        return read(self)
+
+    monkeypatch.setattr(Hub, "_read", reading)
+    listening = Listening(port=0)
+    bound = listening.bind()
+    with running(make_server(stored, TokenFile(tmp_path / "tokens.json"), listening), [bound]):
+        stream = Stream(address_of(bound, tls=False))
+        for number, times in ((0, 1), (1, 2)):
+            broken.set()
+            starved = len(beats)
+            wait_until(lambda: len(beats) > starved + 4 and all("live events" in b for b in beats[-3:]))  # noqa: B023
+            stored.append_scans(key, [Scan(number, datetime.now(UTC), float(number), (20.0,), (Quality.GOOD,))])
+            broken.clear()
+            stream.wait("scan", times)
+            wait_until(lambda: beats[-1] == "fed")
+        stream.close()
+    messages = [e.message for e in stored.journal(level="alarm").items]
+    assert [(m.code, m.arguments["thread"]) for m in messages] == [("thread-failed", "live events")] * 2
+
+
+def test_live_events_that_stand_still_are_an_alarm_and_starve_the_watchdog(stored, tmp_path, monkeypatch, beats):
+    stored.register_press("lab", (Channel("platen_top"),))
+    listening = Listening(port=0)
+    bound = listening.bind()
+    with (
+        standing(monkeypatch, Hub, "_read") as (stands, free),
+        running(make_server(stored, TokenFile(tmp_path / "tokens.json"), listening), [bound]),
+    ):
+        stream = Stream(address_of(bound, tls=False))
+        wait_until(stands.is_set)
+        starved_and_fed_again(beats, "live events", free)
+        stream.close()
+    (message,) = [e.message for e in stored.journal(level="alarm").items]
+    assert (message.code, message.arguments["thread"]) == ("thread-stalled", "live events")
+
+
+def config_of(folder, stored):
+    """Write a configuration of every process over a store."""
+    shutil.copy(LAB_FILE, folder / "lab.toml")
+    path = folder / "kerntemp.toml"
+    logger = "name = 'platens'\nprofile = 'labjack-t7'\nhost = '127.0.0.1'\n"
+    channels = "channels = ['platen_bottom', 'platen_top']\n"
+    plant = f"[store]\nurl = '{stored.database.path}'\n[opcua]\nport = 0\n[server]\nport = 0\n"
+    path.write_text(f"{plant}[[press]]\nname = 'lab'\nfile = 'lab.toml'\n[[press.logger]]\n{logger}{channels}")
+    return path
+
+
+ENDS = [
+    (live_service, "_follow", services.sense, "sense"),
+    (service._Feeds, "_beat", publishing.publish, "publish"),
+    (PressServer, "_read", publishing.publish, "publish"),
+    (_Server, "on_tick", services.serve, "serve"),
+    (services, "_report", services.refit, "refit"),
+]
+
+
+@pytest.mark.parametrize(("owner", "name", "command", "process"), ENDS, ids=[f"{e[3]} {e[1]}" for e in ENDS])
+def test_a_process_that_ends_by_what_nobody_foresaw_leaves_an_alarm(
+    stored, tmp_path, monkeypatch, owner, name, command, process
+):
+    """Only a silence of 10 s was one: whoever is begun anew within that ended for ever unseen."""
+
+    def failing(*_words, **_options):
+        raise KeyError("top_1")
+
+    monkeypatch.setattr(owner, name, failing)
+    monkeypatch.setattr(services, "log_to_stderr", lambda: None)
+    with pytest.raises(KeyError, match="top_1"):
+        command(config_of(tmp_path, stored))
+    messages = [e.message for e in stored.journal(level="alarm").items]
+    why = unexpected(KeyError("top_1"))
+    assert messages == [say("process-failed", process=process, why=why)]

@@ -1,13 +1,11 @@
 """Nobody dies unseen: an error at any call in any thread of the recorder is told, and recording goes on."""
 
-import inspect
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -19,6 +17,7 @@ from daq.recording import acquisition, press_line, recorder, run_keeper
 from daq.store import journal, open_store, outbox, recording, session_placement, store, write_batch
 from daq.supervision import SupervisedThread, unexpected
 from daq.words import say
+from tests.daq.injecting import Injected, Injector
 from tests.daq.test_recorder import plant
 from tests.daq.test_recorder import recording as recording_by
 from tests.patience import wait_until
@@ -35,56 +34,9 @@ MODULES = (
     recording,
     journal,
 )
-ONCE = {"__init__", "start", "close", "join", "main", "record", "expect", "later_key", "stop", "retire"}
-"""Called when a recorder begins or ends, not while it records."""
 PRESSING_S = 10.0
 """In so much time a pressing of the plant begins and ends, on a busy machine, too."""
 LONGEST_S = 240.0
-
-
-class Injected(Exception):
-    """What nobody foresaw."""
-
-
-class Injector:
-    """Wraps every function of the recorder; raises once where and in which thread it is told to."""
-
-    def __init__(self, monkeypatch):
-        self.seen = defaultdict(set)
-        self.armed, self.raised, self.lock = set(), None, threading.Lock()
-        for module in MODULES:
-            for owner in (module, *(c for _, c in inspect.getmembers(module, inspect.isclass))):
-                if owner is module or owner.__module__ == module.__name__:
-                    for name, value in list(vars(owner).items()):
-                        own = inspect.isfunction(value) and value.__module__ == module.__name__
-                        if own and name not in ONCE and not inspect.isgeneratorfunction(value):
-                            label = f"{module.__name__}.{value.__qualname__}"
-                            monkeypatch.setattr(owner, name, self.wrapped(label, value))
-
-    def wrapped(self, label, function):
-        def wrapper(*words, **options):
-            thread = threading.current_thread().name.split()[0]
-            self.seen[thread].add(label)
-            with self.lock:
-                mine = (thread, label) in self.armed
-                if mine:
-                    self.armed, self.raised = set(), (thread, label)
-            if mine:
-                raise Injected(label)
-            return function(*words, **options)
-
-        return wrapper
-
-    def first_called(self, calls, longest_s):
-        """Raise at whichever of the calls comes first; return it, None if none came in time."""
-        with self.lock:
-            self.armed, self.raised = set(calls), None
-        deadline = time.monotonic() + longest_s
-        while not self.raised and time.monotonic() < deadline:
-            time.sleep(0.005)
-        with self.lock:
-            self.armed = set()
-        return self.raised
 
 
 def all_numbers(opened):
@@ -106,7 +58,7 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
     monkeypatch.setattr(outbox, "_FIRST_RETRY_S", 0.02)
     monkeypatch.setattr(recorder, "BEAT_S", 0.1)
     with plant(tmp_path, speed=20.0, rate_hz=1.0) as made, open_store(made.url) as opened:
-        injector = Injector(monkeypatch)
+        injector = Injector(monkeypatch, MODULES)
         unreported = []
 
         def alarms():
