@@ -46,8 +46,6 @@ _BEGINS = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 """What a log begins with. https://www.sqlite.org/fileformat2.html#walformat"""
 _LOG_HEADER, _PAGE_HEADER = 32, 24
 """Bytes before the log's first page, and before each. Same source."""
-_COUNTER = slice(60, 64)
-"""Where a file's header has its user version. https://www.sqlite.org/fileformat2.html#the_database_header"""
 _PRESSES = "SELECT count(*) FROM press"
 LOGS = ("-wal", "-shm")
 """What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
@@ -131,15 +129,15 @@ class HeldFile:
     """An SQLite file kept reachable whatever becomes of its name, with what shows that it, or its log, is another.
 
     `settle` counts in the file's user version, which never goes back: SQLite's own count of changes stands still
-    while one connection alone writes into a log. It is read through a descriptor that stays open as long as the
-    connection: whoever closes one of a file ends all locks that the process has on it, SQLite's too.
+    while one connection alone writes into a log. It is read by SQLite, past the log: whoever closes a descriptor
+    of his own on the file ends all locks that the process has on it, those of other connections too.
     https://www.sqlite.org/howtocorrupt.html (2.2)
     """
 
     def __init__(self, path: Path) -> None:
         self.connection = _hold(path)
         self.logs = logs_of(path)
-        self._file, self._count = os.open(path, os.O_RDONLY), 0
+        self._path, self._count = path, 0
 
     def settle(self) -> bool:
         """Bring the log into the file, and count; return whether all is there: a reader may be in the way."""
@@ -152,17 +150,21 @@ class HeldFile:
         """Whether an older state lies in the file's place."""
         before = self._count  # asked before the file: another thread may see a later count
         try:
-            head = os.pread(self._file, _COUNTER.stop, 0)[_COUNTER]
-        except OSError:
+            with closing(_without_log(self._path)) as connection:
+                (now,) = connection.execute("PRAGMA user_version").fetchone()
+        except sqlite3.Error:
             return False
-        now = int.from_bytes(head, "big")
         self._count = max(before, now)
-        return bool(head) and now < before
+        return bool(now < before)
 
     def close(self) -> None:
         """Let go, once this process works with the file no more."""
         self.connection.close()
-        os.close(self._file)
+
+
+def _without_log(path: Path) -> sqlite3.Connection:
+    """Open a file as its last checkpoint left it."""
+    return sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True, isolation_level=None)
 
 
 def _hold(path: Path) -> sqlite3.Connection:
@@ -188,7 +190,7 @@ def rescue(
     """
     source = held
     if without_log:
-        source = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True, isolation_level=None)
+        source = _without_log(path)
     else:
         with suppress(sqlite3.Error):
             held.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # a file that was moved is whole without its log
