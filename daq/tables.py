@@ -217,6 +217,15 @@ def nearest(key: str, known: Iterable[str]) -> str | None:
     return next((full for short, full in spelt.items() if short.startswith(f"{low}_")), None)
 
 
+def nearest_first(key: str, known: Iterable[str]) -> tuple[str, ...]:
+    """Return what is known, what looks most like `key` first.
+
+    >>> nearest_first("chipbord", ("MDF", "particleboard", "chipboard"))
+    ('chipboard', 'particleboard', 'MDF')
+    """
+    return tuple(sorted(known, key=lambda one: -difflib.SequenceMatcher(None, key.lower(), one.lower()).ratio()))
+
+
 def unknown_key(key: str, known: Iterable[str]) -> Message:
     """Return the message for a key that is refused, with the key that was meant where one is near."""
     meant = nearest(key, known)
@@ -295,6 +304,9 @@ _KINDS = {
     "model_type": "key-no-table",
     "dict_type": "key-no-table",
     "tuple_type": "key-no-list",
+    "datetime_type": "key-no-day",
+    "datetime_parsing": "key-no-day",
+    "datetime_from_date_parsing": "key-no-day",
 }
 """What pydantic finds wrong, by its own name, to the code of ours; anything else keeps its English."""
 

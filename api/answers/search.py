@@ -14,11 +14,12 @@ from api.answers.decimation import number_or_none
 from api.answers.kept import Kept
 from api.answers.records import is_described, run_summary
 from api.answers.schemas import RunHit, SearchList
-from daq.press.header import VERDICT, is_number_key
+from daq.press.header import VERDICT, VERDICTS, is_number_key
 from daq.records import InputError
 from daq.store.records import Page, RunCore, RunRecord, RunStatus, every
 from daq.store.store import Store
-from daq.words import say
+from daq.words import Message, say
+from daq.words.message import ENGLISH, words
 
 CORE = ("core_at_opening_C", "core_peak_C", "band_at_opening_K")
 OWN = ("press_time_s", "rmse_K", *CORE)
@@ -62,7 +63,8 @@ class Wanted:
     """What is looked for."""
 
     words: Sequence[str] = ()
-    """Each must occur in name, press, remark or a text of the header; capitals do not matter."""
+    """Each must occur in name, press, remark, a text of the header or what its verdict is called; capitals do not
+    matter."""
     bounds: Sequence[Bound] = ()
     press: str | None = None
     status: RunStatus | None = None
@@ -70,6 +72,8 @@ class Wanted:
     until: datetime | None = None
     """Started at or after the one and before the other."""
     verdict: str | None = None
+    language: str = ENGLISH
+    """In which the verdict is called something."""
     order: str = ""
     """A number's name, ``-`` before it for the largest first; empty: the newest first."""
 
@@ -159,9 +163,21 @@ def numbers_of(
 def _matches(record: RunRecord, wanted: Wanted) -> bool:
     if wanted.verdict and record.header.get(VERDICT) != wanted.verdict:
         return False
-    texts = (record.run, record.press, record.remark, *(v for v in record.header.values() if isinstance(v, str)))
+    given = (value for value in record.header.values() if isinstance(value, str))
+    texts = (
+        record.run,
+        record.press,
+        record.remark,
+        *given,
+        *_called(record.header.get(VERDICT), wanted.language),
+    )
     text = "\n".join(texts).casefold()
     return all(word.casefold() in text for word in wanted.words)
+
+
+def _called(verdict: object, language: str) -> tuple[str, ...]:
+    """Return what a verdict is called in a language, for none nothing."""
+    return (words(Message(f"page-panel-{verdict}"), language),) if verdict in VERDICTS else ()
 
 
 def _ordered(

@@ -196,8 +196,22 @@ def _utc(day: datetime | None) -> datetime | None:
 def _list_runs(store: Store, chosen: Mapping[str, Any]) -> None:
     if chosen["press"] is not None and chosen["press"] not in (known := tuple(store.presses())):
         raise InputError(say("api-press-unknown", press=chosen["press"], known=known))
+    _refuse_unknown_material(store, chosen["material"])
     heads = [say(f"terminal-list-{head}") for head in ("run", "started", "status", "press", "material")]
     write_table(heads, _run_rows(store, chosen))
+
+
+def _refuse_unknown_material(store: Store, material: str | None) -> None:
+    """Refuse a material of which the store has no run, naming those of its runs."""
+    from daq.store import every
+    from daq.tables import nearest_first
+
+    if material is None or store.runs(material=material, limit=1).items:
+        return
+    runs = every(lambda cursor: store.runs(cursor=cursor, limit=500))
+    if known := {str(run.header["panel.material"]) for run in runs if run.header.get("panel.material")}:
+        names = nearest_first(material, sorted(known))
+        raise InputError(say("terminal-list-material-unknown", material=material, known=names))
 
 
 def _run_rows(store: Store, chosen: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -43,6 +43,17 @@ def stored_presses(context: typer.Context, incomplete: str) -> list[str]:
     return _asked_of_store(context, lambda store: store.presses(), incomplete)
 
 
+def configured_presses(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the presses of the configuration that begin as typed, for Tab; none where it cannot be read."""
+    from daq.process.config import load_config
+
+    try:
+        settings = load_config(config_path(context.params.get("config")))
+    except InputError:
+        return []
+    return [press.name for press in settings.press if press.name.startswith(incomplete)]
+
+
 def _asked_of_store(context: typer.Context, names: Callable[[Store], Iterable[str]], incomplete: str) -> list[str]:
     from daq.store.records import StoreUnavailable
 

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from api.commands.inputs import CONFIG_NAME, ConfigFile, StoreUrl, config_path
+from api.commands.inputs import CONFIG_NAME, ConfigFile, StoreUrl, config_path, configured_presses
 from api.outputs import WorkFailed, in_words, spoken_language, working, write_line, write_table
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
 if TYPE_CHECKING:
+    from api.http.tokens import TokenFile
     from daq.address import Address
     from daq.process.config import Config, ServerSettings
     from daq.store.store import Store
@@ -97,21 +98,21 @@ def refit(
     config: ConfigFile = None,
     workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="help-workers")] = None,
     dask: Annotated[str, typer.Option(metavar="ADDRESS", help="help-dask")] = "",
-    roll_back: Annotated[str, typer.Option("--roll-back", metavar="PRESS", help="help-roll-back")] = "",
+    roll_back: Annotated[
+        str,
+        typer.Option("--roll-back", metavar="PRESS", help="help-roll-back", autocompletion=configured_presses),
+    ] = "",
 ) -> None:
     """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
     from daq.process.config import load_config
-    from daq.store.store import open_store
-    from daq.store.waiting import ending_reported
-    from softsensor.jobs import night as nightly
 
     if roll_back:
-        settings = load_config(config_path(config))
-        with open_store(settings.store.url) as store:
-            name = settings.press_named(roll_back).name
-            version = nightly.roll_back(store, name, "kerntemp refit")
-            write_line(say("terminal-model-in-force-again", press=name, version=version))
+        _roll_back(load_config(config_path(config)), roll_back)
         return
+    from daq.store.store import open_store
+    from daq.store.waiting import ending_reported
+    from softsensor.jobs.night import sign_off
+
     unsound: dict[str, InputError] = {}
     settings = load_config(config_path(config), unsound)
     names = [*unsound, *(press.name for press in settings.press)]
@@ -124,7 +125,7 @@ def refit(
                 outcomes[outcome.press] = outcome
                 failed += _report(store, outcome, settings)
                 done(len(outcomes))
-        nightly.sign_off(store, [outcomes[name] for name in names])
+        sign_off(store, [outcomes[name] for name in names])
     if failed:
         raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
 
@@ -205,26 +206,56 @@ def _page_address(server: ServerSettings) -> str:
     return f"http://{f'[{host}]' if ':' in host else host}:{server.port}/"
 
 
+def _roll_back(settings: Config, press: str) -> None:
+    """Put the model before into force again."""
+    from daq.store.store import open_store
+
+    name = settings.press_named(press).name  # refused before what loads slowly
+    from softsensor.jobs.night import roll_back
+
+    with open_store(settings.store.url) as store:
+        version = roll_back(store, name, "kerntemp refit")
+    write_line(say("terminal-model-in-force-again", press=name, version=version))
+
+
 def token_file_beside(config: Path) -> Path:
     """Return where tokens are kept when the configuration does not say."""
     return config.resolve().parent / "kerntemp-tokens.json"
+
+
+def token_file(config: Path | None) -> tuple[TokenFile, Config]:
+    """Return where the tokens of a configuration are kept, and the configuration."""
+    from api.http.tokens import TokenFile
+    from daq.process.config import load_config
+
+    path = config_path(config)
+    settings = load_config(path)
+    return TokenFile(settings.server.tokens or token_file_beside(path)), settings
+
+
+def tokens_to_revoke(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the names of tokens that begin as typed, for Tab; none where nothing is revoked."""
+    if context.params.get("action") != "revoke":
+        return []
+    try:
+        tokens, _ = token_file(context.params.get("config"))
+        return [kept.name for kept in tokens.tokens() if kept.name.startswith(incomplete)]
+    except InputError:
+        return []
 
 
 def token(
     action: Annotated[
         Literal["create", "revoke", "list"], typer.Argument(metavar="create|revoke|list", help="help-token-action")
     ],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="help-token-name")] = "",
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="help-token-name", autocompletion=tokens_to_revoke)
+    ] = "",
     scope: Annotated[Literal["read", "write"], typer.Option(metavar="read|write", help="help-scope")] = "read",
     config: ConfigFile = None,
 ) -> None:
     """Make, list and revoke access tokens; a new one is shown once."""
-    from api.http.tokens import TokenFile
-    from daq.process.config import load_config
-
-    path = config_path(config)
-    settings = load_config(path)
-    tokens = TokenFile(settings.server.tokens or token_file_beside(path))
+    tokens, settings = token_file(config)
     if action == "list":
         heads = [say(f"terminal-list-{head}") for head in ("token", "scope", "created", "name")]
         write_table(heads, ((kept.id, kept.scope, str(kept.created_utc), kept.name) for kept in tokens.tokens()))

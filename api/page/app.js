@@ -1,10 +1,10 @@
 // The page's frame: which view, which language, light or dark, and the one live connection all views share.
+import { leaveToView, showAlarms } from "./alarmbar.js";
 import { again, follow, get } from "./api.js";
 import { keepReady, listen } from "./bell.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
 import * as access from "./views/access.js";
-import { startingOf } from "./views/answer.js";
 import * as alarms from "./views/alarms.js";
 import * as coefficients from "./views/coefficients.js";
 import * as diagnosis from "./views/diagnosis.js";
@@ -15,7 +15,7 @@ import * as now from "./views/now.js";
 import * as presses from "./views/presses.js";
 import * as runs from "./views/runs.js";
 import * as wall from "./views/wall.js";
-import { chooseLanguage, inWords, language, languages, loadWords, nameOf, text } from "./words.js";
+import { chooseLanguage, language, languages, loadWords, nameOf, text } from "./words.js";
 
 const VIEWS = { presses, now, runs, coefficients, diagnosis, nights, alarms, journal, loggers, access, wall };
 const main = document.getElementById("view");
@@ -38,6 +38,7 @@ async function show() {
   leave = null;
   unanswered = false;
   closeAll();
+  leaveToView();
   for (const handlers of Object.values(listeners)) handlers.clear();
   for (const link of document.querySelectorAll(".tabs a")) {
     if (link.dataset.view === name) link.setAttribute("aria-current", "page");
@@ -138,11 +139,7 @@ async function refreshHealth() {
   try {
     const health = await get("/health");
     document.getElementById("version").textContent = `Kerntemp ${health.version}`;
-    const starting = startingOf(health);
-    const lines = [...health.alarms.map((alarm, i) => `⚠ ${inWords(health.alarms_said[i], alarm)}`), ...(starting ? [starting] : [])];
-    const alarms = document.getElementById("alarms");
-    if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, line)));
-    alarms.classList.toggle("calm", !health.alarms.length);
+    showAlarms(health);
     await askAgain();
   } catch { /* the link state says it */ }
 }

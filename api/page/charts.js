@@ -199,7 +199,8 @@ export class TimeChart {
     ctx.restore();
   }
 
-  // Lines across or down the chart with a word beside them: [{y | x, name, colour}].
+  // Lines across or down the chart with a word beside them: [{y | x, name, colour}]; one across that would touch a
+  // phase's name has its word below.
   mark(plot) {
     const { ctx, bbox } = plot;
     const size = 11 * this.larger * devicePixelRatio;
@@ -211,6 +212,7 @@ export class TimeChart {
     ctx.textBaseline = "bottom";
     ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
     ctx.lineWidth = 1.5 * devicePixelRatio;
+    const named = this.namedPhases(plot), head = bbox.top + size + 8 * devicePixelRatio; // where their names end
     for (const one of this.marks) {
       ctx.strokeStyle = ctx.fillStyle = style(one.colour);
       const across = one.y !== undefined;
@@ -220,7 +222,9 @@ export class TimeChart {
       ctx.lineTo(across ? bbox.left + bbox.width : at, across ? at : bbox.top + bbox.height);
       ctx.stroke();
       ctx.textAlign = across ? "right" : "left";
-      ctx.fillText(one.name, across ? bbox.left + bbox.width - 4 * devicePixelRatio : at + 4 * devicePixelRatio, across ? at - 2 * devicePixelRatio : bbox.top + bbox.height - 4 * devicePixelRatio);
+      const right = bbox.left + bbox.width - 4 * devicePixelRatio;
+      const below = across && at - size < head && named.some(({ from, width }) => from + width + 12 * devicePixelRatio > right - ctx.measureText(one.name).width);
+      ctx.fillText(one.name, across ? right : at + 4 * devicePixelRatio, below ? Math.max(at, head) + size + 3 * devicePixelRatio : across ? at - 2 * devicePixelRatio : bbox.top + bbox.height - 4 * devicePixelRatio);
     }
     ctx.restore();
   }

@@ -19,7 +19,7 @@ from daq.materials import MATERIALS, Constant, find_material
 from daq.press.press_file import SD, Press
 from daq.printed import quoted
 from daq.records import InputError, Nonphysical, Panel, Run
-from daq.tables import at, nearest, unseen
+from daq.tables import at, nearest, nearest_first, unseen
 from daq.words import Message, say
 
 
@@ -196,7 +196,9 @@ def panel_of(run: Run) -> Panel:
             return checked_number(full, value, where)
         problem = say("header-missing", key=full)
         if listed and known is None:
-            problem = say("header-missing-material", key=full, material=material, known=tuple(MATERIALS))
+            problem = say(
+                "header-missing-material", key=full, material=material, known=nearest_first(material, MATERIALS)
+            )
         raise InputError(at(where, problem))
 
     def table(key: str) -> tuple[tuple[float, float], ...]:
@@ -260,7 +262,9 @@ def _unlisted(header: Mapping[str, Any]) -> Iterator[Message]:
     material = str(header.get("panel.material", ""))
     missing = tuple(key for key in CONSTANTS if header.get(key) is None)
     if missing and find_material(material) is None:
-        yield say("header-material-unknown", material=material, known=tuple(MATERIALS), missing=missing)
+        yield say(
+            "header-material-unknown", material=material, known=nearest_first(material, MATERIALS), missing=missing
+        )
 
 
 def listed_constants(header: Mapping[str, Any]) -> dict[str, Constant]:

@@ -36,6 +36,7 @@ json-invalid = unverständlich ab Zeile { NUMBER($line) }, Spalte { NUMBER($colu
 key-empty = ist leer; mindestens einen Eintrag angeben
 key-missing = fehlt; bitte ergänzen
 key-no-bool = muss true oder false sein
+key-no-day = muss ein Tag sein, Jahr-Monat-Tag, etwa 2026-03-04
 key-no-list = muss eine Liste in Klammern sein
 key-no-number = muss eine gültige Zahl sein
 key-no-table = muss eine Tabelle sein
@@ -1646,7 +1647,7 @@ advice-open-in-between = öffnen in { NUMBER($seconds, maximumFractionDigits: 0)
 advice-open-in-or-later = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s (oder später)
 advice-open-now = JETZT ÖFFNEN
 advice-opened = geöffnet
-advice-opened-peak = geöffnet, der Kern erreicht höchstens { NUMBER($peak_C, maximumFractionDigits: 0) } °C
+advice-opened-peak = geöffnet, der Höchstwert im Kern ist { NUMBER($peak_C, maximumFractionDigits: 0) } °C
 advice-too-early = zu früh
 
 ## api: refusals of the server, access, health
@@ -1807,6 +1808,7 @@ terminal-list-alone = --press, --material, --from und --to wählen, was aufgelis
 terminal-list-created = angelegt
 terminal-list-damaged = beschädigt
 terminal-list-material = Material
+terminal-list-material-unknown = --material = '{ $material }': keine Pressung hat es; es gibt { $known }
 terminal-list-name = Name
 terminal-list-press = Presse
 terminal-list-run = Pressung
@@ -2568,6 +2570,11 @@ page-use-token = Für diesen Tab verwenden
 
 page-access = Zugang
 page-ago = vor { $time }
+page-alarms-more = { $count ->
+        [one] 1 weiterer Alarm
+       *[other] { $count } weitere Alarme
+    }
+page-answer-not-known = nicht bekannt
 page-api-docs = API
 page-back = Zurück
 page-band95 = 95-%-Band
@@ -2633,8 +2640,9 @@ page-panel-blister = Blase
 page-panel-good = gut
 page-panel-scrap = Ausschuss
 page-panel-undercured = nicht ausgehärtet
-page-peak-then = der Kern erreicht dann höchstens { NUMBER($peak, maximumFractionDigits: 0) } °C
+page-peak-then = der Höchstwert im Kern ist dann { NUMBER($peak, maximumFractionDigits: 0) } °C
 page-platens = Heizplatten
+page-process-not-running = { $process } läuft nicht; kerntemp { $command } starten
 page-quality = Güte
 page-quality-bad_frame = Telegramm fehlerhaft
 page-quality-good = gut

@@ -36,6 +36,7 @@ json-invalid = not understood from line { NUMBER($line) }, column { NUMBER($colu
 key-empty = is empty; give at least one
 key-missing = is missing; add it
 key-no-bool = must be true or false
+key-no-day = must be a day, year-month-day, such as 2026-03-04
 key-no-list = must be a list in brackets
 key-no-number = must be a valid number
 key-no-table = must be a table
@@ -1797,6 +1798,7 @@ terminal-list-alone = --press, --material, --from and --to choose what is listed
 terminal-list-created = created
 terminal-list-damaged = damaged
 terminal-list-material = material
+terminal-list-material-unknown = --material = '{ $material }': no run has it; the runs have { $known }
 terminal-list-name = name
 terminal-list-press = press
 terminal-list-run = run
@@ -2555,6 +2557,11 @@ page-use-token = Use for this tab
 
 page-access = Access
 page-ago = { $time } ago
+page-alarms-more = { $count ->
+        [one] 1 more alarm
+       *[other] { $count } more alarms
+    }
+page-answer-not-known = not known
 page-api-docs = API
 page-back = Back
 page-band95 = 95 % band
@@ -2622,6 +2629,7 @@ page-panel-scrap = scrap
 page-panel-undercured = undercured
 page-peak-then = the core then peaks at { NUMBER($peak, maximumFractionDigits: 0) } °C
 page-platens = Platens
+page-process-not-running = { $process } does not run; start kerntemp { $command }
 page-quality = Quality
 page-quality-bad_frame = bad frame
 page-quality-good = good

@@ -14,6 +14,7 @@ import pytest
 from api.cli import main
 from api.commands.inputs import find_run
 from api.commands.simulating import table_text
+from api.http.tokens import TokenFile
 from api.outputs import write_all
 from daq.files.run_file import read_run, write_run
 from daq.records import Run
@@ -36,6 +37,18 @@ def files(tmp_path_factory, campaign):
 @pytest.fixture
 def first(files, campaign):
     return str(files / f"{campaign[0][0].name}.csv")
+
+
+def config_of_lab(folder):
+    """Write a configuration of one press into a folder and return where."""
+    (folder / "press.toml").write_text(press_toml(), encoding="utf-8")
+    path = folder / "kerntemp.toml"
+    path.write_text(
+        '[[press]]\nname = "lab"\nfile = "press.toml"\n[[press.logger]]\nname = "x"\nprofile = "labjack-t7"\n'
+        'host = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n',
+        encoding="utf-8",
+    )
+    return path
 
 
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -471,6 +484,42 @@ def test_stored_runs_are_listed_under_heads_and_chosen_by_press_material_and_day
     assert "choose what is listed" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("language", "says"),
+    [
+        ("en", "must be a day, year-month-day, such as 2026-03-04"),
+        ("de", "muss ein Tag sein, Jahr-Monat-Tag, etwa 2026-03-04"),
+    ],
+)
+@pytest.mark.parametrize("option", ["--from", "--to"])
+@pytest.mark.parametrize("given", ["nope", "04.03.2026", "2026-13-01", "2026-02-30", "2026-03-04 25:00"])
+def test_a_day_that_is_none_is_refused_in_our_own_words(capsys, monkeypatch, option, given, language, says):
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", language)
+    assert main(["export", option, given]) == 2
+    assert one_line(capsys) == f"kerntemp: {option} = '{given}': {says}"
+
+
+def test_a_material_that_no_run_has_is_refused_with_those_there_are_the_nearest_first(store_of_two, capsys):
+    assert main(["export", "--store", store_of_two, "--material", "pin"]) == 2
+    says = "--material = 'pin': no run has it; the runs have pine, MDF"
+    assert one_line(capsys) == f"kerntemp: {says}"
+    assert main(["export", "--store", store_of_two, "--material", "pine", "--to", "2026-03-05"]) == 0
+
+
+def test_a_press_that_is_not_there_is_not_rolled_back_and_that_is_said_before_long_work(tmp_path):
+    """What a nightly job needs takes seconds to load."""
+    config = config_of_lab(tmp_path)
+    script = f"""
+import sys
+from api.cli import main
+code = main(["refit", "--config", {str(config)!r}, "--roll-back", "nope"])
+sys.exit(10 * code + bool({{"numba", "scipy", "softsensor.jobs.night"}} & set(sys.modules)))
+"""
+    called = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert called.returncode == 20, called.stderr
+    assert "'nope'" in called.stderr
+
+
 @pytest.fixture
 def store_of_two(tmp_path, campaign):
     """A store with two pressings, of two materials, on two days."""
@@ -522,6 +571,12 @@ def test_the_shell_completes_commands_and_options(tmp_path, shell_asks):
         assert completed(f"kerntemp {command} --store {store} oak") == {"oak-1", "oak-2"}
     assert completed(f"kerntemp fit --store {tmp_path / 'none.sqlite'} oak") == set()
     assert completed(f"kerntemp export --store {store} --press la") == {"lab"}
+    config = config_of_lab(tmp_path)
+    assert completed(f"kerntemp refit --config {config} --roll-back l") == {"lab"}
+    for token in ("mes", "mail", "wall"):
+        TokenFile(tmp_path / "kerntemp-tokens.json").create(token, "read")
+    assert completed(f"kerntemp token --config {config} revoke m") == {"mes", "mail"}
+    assert completed(f"kerntemp token --config {config} create m") == set()
     assert completed("kerntemp fit --method nelder_mead_") == {"nelder_mead_then_least_squares"}
     assert completed("kerntemp demo --hide paper") == {"paper_layer"}
     assert completed("kerntemp diagnose --rehearse-effect paper") == {"paper_layer"}

@@ -30,6 +30,21 @@ def test_words_are_found_in_remark_header_and_verdict_and_all_must_occur(found):
     assert found(q="film scrap") == []
 
 
+def test_a_verdict_is_found_by_what_the_page_calls_it_in_its_language(found, store, client):
+    called = {"good": "gut", "blister": "BLASE", "undercured": "nicht ausgehärtet", "scrap": "Ausschuss"}
+    for verdict, german in called.items():
+        store.annotate_run("lab-2026-03-04-03", {"panel.verdict": verdict}, "test")
+        assert "03" in found(q=german, language="de")
+        assert "03" in found(q=verdict, language="de")
+        assert "03" in found(q=verdict, language="en")
+        assert "03" not in found(q=german, language="en")
+    store.annotate_run("lab-2026-03-04-03", {"panel.verdict": None}, "test")
+    assert "03" not in found(q="Ausschuss", language="de")
+    answer = client.get("/api/v1/search", params={"language": "xx"})
+    assert answer.status_code == 404
+    assert "de" in answer.json()["detail"]
+
+
 def test_bounds_hold_for_header_keys_and_for_the_core_at_opening(found, client, campaign):
     assert found("setting.pressure_N_cm2>320") == ["02"]
     assert found("setting.pressure_N_cm2>320", "setting.pressure_N_cm2<=349") == []

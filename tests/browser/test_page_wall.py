@@ -172,7 +172,11 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     of = "getComputedStyle(document.documentElement).getPropertyValue('--{}').trim()"
     comes(page, written, f"(it) => it.open === {of.format('accent')}")
     server.stop_for_a_while()
-    expect(answer).to_contain_text("not known, because no reading for")
+    if view == "#/wall":
+        expect(answer).to_contain_text("not known, because no reading for")
+    else:
+        expect(page.locator(".banner")).to_contain_text("No new reading since")
+        expect(answer).to_have_text("not known")
     expect(page.get_by_test_id("peak")).to_be_hidden()
     expect(page.locator(".light.bad")).to_have_text(["no readings"] if view == "#/wall" else [])  # said once
     green = """() => [...document.querySelectorAll('body *')].filter((e) => {
@@ -414,6 +418,40 @@ def test_the_names_of_the_phases_stand_clear_of_the_target(served):
     low, high = page.evaluate(f"import('./static/views/answer.js').then((it) => {asked})")
     # The lowest chart, of 240 px, is 176 px without its axis; a name reaches 17 px down, a line is 2 px.
     assert (high - 40) / (high - low) > 19 / 176
+
+
+DRAWN = """async (from) => {
+    const { CoreChart } = await import('./static/views/answer.js');
+    const place = document.body.appendChild(Object.assign(document.createElement('div'), {style: 'width: 700px'}));
+    const across = CanvasRenderingContext2D.prototype.fillText, words = {};
+    CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+        const {width, actualBoundingBoxAscent: up, actualBoundingBoxDescent: down} = this.measureText(text);
+        const left = this.textAlign === 'right' ? x - width : x;
+        words[text] = {left, right: left + width, top: y - up, bottom: y + down};
+        return across.call(this, text, x, y);
+    };
+    const chart = new CoreChart(place, {height: 260, keep: false, letters: 24}), times = [...Array(61).keys()];
+    const core = times.map((t) => 20 + 39 * t / 60), phases = [
+        {state: 'open', from_s: 0, to_s: from}, {state: 'closed', from_s: from, to_s: null}];
+    chart.show({times, core, low: core, high: core, phases, target: 60});
+    await new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(drawn, 100))));
+    CanvasRenderingContext2D.prototype.fillText = across;
+    chart.close();
+    place.remove();
+    return words;
+}"""
+"""Where each word of a chart stands, drawn with the letters of the wall at 768 px."""
+
+
+@pytest.mark.parametrize("closed_s", [0, 20, 35, 45])
+def test_no_phases_name_touches_that_of_the_target(served, closed_s):
+    server, _, page = served
+    page.goto(server.url)
+    expect(page.locator("main .card").first).to_be_visible()
+    words = page.evaluate(DRAWN, closed_s)
+    target, phase = words["Target 60 °C"], words["closed"]
+    beside = target["left"] >= phase["right"] or target["right"] <= phase["left"]
+    assert beside or target["top"] >= phase["bottom"] or target["bottom"] <= phase["top"]
 
 
 def test_every_tab_can_be_read_at_any_width(served, browser):

@@ -10,11 +10,13 @@ from pydantic import Field
 
 from api.answers.schemas import SearchList, Verdict
 from api.answers.search import COEFFICIENT, OWN, Bound, Wanted, check_order, search_page
-from api.http.problems import problem_responses
+from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import BeganDep, PageDep, PressName, StoreDep
 from daq.store.records import RunStatus
+from daq.words import say
+from daq.words.message import ENGLISH, languages
 
-router = APIRouter(tags=["runs"], responses=problem_responses())
+router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
 Words = Annotated[str, Query(max_length=500, description="Words that must all occur in remark, header or name.")]
 _BOUND = r"^\s*([A-Za-z][A-Za-z0-9_.-]*\s*(<=|>=|<|>|=)\s*[+-]?[0-9]+([.,][0-9]+)?([eE][+-]?[0-9]+)?\s*)?$"
@@ -46,6 +48,7 @@ class Search:
     verdict: Annotated[Verdict | None, Query(description="Only panels that became this.")] = None
     press: PressName = None
     status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None
+    language: Annotated[str, Query(description="In which `q` may call the verdict, beside its code.")] = ENGLISH
     sort: Order = ""
 
 
@@ -58,7 +61,10 @@ def search_runs(
     where: Where = [],  # noqa: B006
 ) -> SearchList:
     """Return the runs for which all that is asked holds, with the numbers to compare them by."""
+    if query.language not in languages():
+        raise ProblemError(404, say("api-no-such-language", language=query.language, languages=languages()))
     check_order(query.sort)
     bounds = [Bound.parse(one) for one in where if one.strip()]
-    wanted = Wanted(query.q.split(), bounds, query.press, query.status, *began.span, query.verdict, query.sort)
+    asked = (query.press, query.status, *began.span, query.verdict, query.language, query.sort)
+    wanted = Wanted(query.q.split(), bounds, *asked)
     return search_page(store, wanted, int(page.cursor or 0), page.limit)

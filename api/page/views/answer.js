@@ -1,6 +1,7 @@
 // What now and wall view share: the core with its band, the one answer, and the chart of the core with what is foreseen.
 import { TimeChart, key } from "../charts.js";
 import { duration, el, number } from "../dom.js";
+import { asOf, causeOf, isLimit } from "../silence.js";
 import { inWords, text } from "../words.js";
 
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
@@ -14,13 +15,13 @@ export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`
 export const steamOf = (high) => `≤\u00a0${number(high, 0)}\u00a0kPa`;
 
 // Why there is no core is shown once: by the answer where that is not known, else here.
-// A tile has no room for the band's name.
-export function showCore(core, band, state, estimate, { tile = false } = {}) {
+// A tile has no room for the band's name. `old`: when it was, of one that rests on old readings.
+export function showCore(core, band, state, estimate, { tile = false, old = null } = {}) {
   const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
   core.className = valid ? "core" : "core invalid";
   core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
   band.textContent = valid
-    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C${tile ? "" : ` · ${text("page-band95")}`}`
+    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C${tile ? "" : ` · ${text("page-band95")}`}${old ? ` · ${asOf(old)}` : ""}`
     : state === "idle" || !estimate || estimate.advice?.verdict === "not_known" ? "" : reasonOf(estimate);
 }
 
@@ -32,13 +33,14 @@ function reasonOf(estimate) {
 // For how long nothing was read; a press whose loggers never gave a reading has been silent for ever.
 export const whySilent = (silent) => (silent === Infinity ? text("page-no-reading-yet") : text("page-no-reading-for", { time: seconds(Math.round(silent)) }));
 
-// One line in its own colour. What rests on no reading for `silent` seconds is not known, whatever was foreseen.
-export function showAnswer(place, { state, estimate }, silent) {
+// One line in its own colour. What rests on no reading for `silent` seconds is not known, whatever was foreseen; why
+// is left out where a banner says it.
+export function showAnswer(place, { state, estimate }, silent, { banner = false } = {}) {
   const advice = estimate?.advice;
   const empty = state === "idle" && !advice;
   const verdict = silent !== null || !(advice || empty) ? "not_known" : empty ? "no_panel" : advice.verdict;
   const line = silent !== null
-    ? text("advice-not-known", { why: whySilent(silent) })
+    ? banner ? text("page-answer-not-known") : text("advice-not-known", { why: whySilent(silent) })
     : advice ? inWords(advice.sentence_said, advice.sentence) : text(empty ? "advice-no-panel" : "page-no-estimate");
   const shown = line.replace(/\([^()]*\)/g, (band) => band.replaceAll(" ", "\u00a0")); // a band stands on one line
   place.className = `answer ${verdict}`;
@@ -66,18 +68,33 @@ export const startingOf = (health) => (health.processes.some(({ alive, state }) 
 
 // What is wrong for a press: an alarm that names it or, shorter in a tile, one that names none; not another press's.
 export function wrongOf({ alarms, alarms_said: said }, press, { tile = false } = {}) {
-  const i = said.findIndex((one) => (one.arguments?.press ?? press) === press);
+  const i = said.findIndex((one) => (one.arguments?.press ?? press) === press && !isLimit(one, press));
   return i < 0 ? "" : tile && !said[i].arguments?.press ? text("page-health-degraded") : inWords(said[i], alarms[i]);
 }
 
-// One light: green only where everything runs and what there is to say of the panel is known. For how long nothing was
-// read the answer says, and in a tile, that the core is not known.
-export function showLight(light, { now, silent = null, wrong = "", starting = "", tile = false }) {
-  const { state, estimate } = now;
+// One light: green only where everything runs and what there is to say of the panel is known. That and for how long
+// nothing was read the answer says, and in a tile, that the core is not known; the light, why nothing is.
+export function showLight(light, { now, health = null, silent = null, tile = false }) {
+  const { state, estimate, press } = now;
+  const wrong = health ? wrongOf(health, press, { tile }) : "";
+  const starting = health ? startingOf(health) : "";
   const known = !starting && (state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known"));
-  const fault = silent !== null ? text("page-no-readings") : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
+  if (silent !== null) {
+    light.className = "light bad";
+    light.replaceChildren(tile ? "" : causeOf(health, press) || wrong || el("span", { class: "unseen" }, text("page-no-readings")));
+    return;
+  }
+  const fault = SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
   light.textContent = fault || starting || text(known ? "page-health-ok" : tile ? "page-health-runs" : "page-health-core-unknown");
+}
+
+// The core as it may be shown: of a press that is silent the last that was believed, with when it was.
+export class LastCore {
+  of({ state, estimate, channels }, stale) {
+    if (!stale && estimate?.reason !== "no scans") this.last = state !== "idle" && estimate?.valid ? { state, estimate } : null;
+    return stale && this.last ? { ...this.last, old: channels[0].utc } : { state, estimate, old: null };
+  }
 }
 
 // An estimate of the stream takes the place of the one before; what was missed and comes late is history.

@@ -1,12 +1,14 @@
 // Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
+import { healthNow, leaveToView } from "../alarmbar.js";
 import { announce } from "../announce.js";
 import { again, get } from "../api.js";
 import { COLOURS, facesOf, groupName, roleOf, standing } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { BRIDGE_S } from "../keep.js";
 import { clock, duration, el, number, reading } from "../dom.js";
+import { asOf, causeOf, isAbout } from "../silence.js";
 import { effectName, inWords, text } from "../words.js";
-import { CoreChart, WHOLE_SECONDS, believed, closingOf, coreKey, countedFrom, courseOf, cureOf, seconds, shifted, showAnswer, showCore, showPeak, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
+import { CoreChart, LastCore, WHOLE_SECONDS, believed, closingOf, coreKey, countedFrom, courseOf, cureOf, seconds, shifted, showAnswer, showCore, showPeak, stateOf, steamOf, take, targetOf, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -36,7 +38,7 @@ export async function show(place, context) {
 
 class LivePress {
   constructor(place, context) {
-    Object.assign(this, { place, context, closed: false, now: null, chart: null, rows: null, loading: false });
+    Object.assign(this, { place, context, closed: false, now: null, chart: null, rows: null, loading: false, last: new LastCore() });
   }
 
   async load() {
@@ -107,7 +109,7 @@ class LivePress {
           this.curves = el("div", { hidden: true }, this.canvas, this.keys, this.behind,
             el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys))),
       this.panels = el("div", { class: "pair" }),
-      el("section", { class: "card" }, el("h2", {}, text("page-channels")), this.grid));
+      el("section", { class: "card" }, el("h2", {}, text("page-channels"), this.read = el("span", { class: "small faint as-of" })), this.grid));
     this.panel = new PanelCards(this.panels, this.now.press);
     this.refresh();
   }
@@ -119,16 +121,17 @@ class LivePress {
 
   facts() {
     const { now } = this;
-    this.showCore(now.estimate);
+    this.showAge();
+    this.showCore();
+    const { state, estimate } = this.last.of(now, this.stale);
     const target = now.target, deciding = targetOf(now);
     const rows = [
       [text("page-time-since-closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
       [text("page-target"), target ? text(deciding === null ? "page-target-not-deciding" : "page-target-value", { target: target.temperature_C }) : "–"],
-      ...ahead(now.state, believed(now.estimate)),
+      ...ahead(state, believed(estimate)),
       [text("page-run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
       [text("page-press"), now.press],
     ];
-    this.showAge();
     this.showTitle();
     this.showWarning();
     this.panel.show(now);
@@ -147,15 +150,16 @@ class LivePress {
     this.sketch.style.visibility = state === "unknown" ? "hidden" : ""; // it would be drawn where nobody knows it to stand
   }
 
-  showCore(estimate = this.now.estimate) {
-    showCore(this.core, this.band, this.now.state, estimate);
+  showCore() {
+    const core = this.last.of(this.now, this.stale);
+    showCore(this.core, this.band, core.state, core.estimate, core);
     this.showState();
     this.showAnswer();
   }
 
   showAnswer() {
     const silent = this.stale ? this.silentFor() : null;
-    showAnswer(this.answer, this.now, silent);
+    showAnswer(this.answer, this.now, silent, { banner: true });
     showPeak(this.peak, this.now, silent);
   }
 
@@ -184,10 +188,20 @@ class LivePress {
     document.documentElement.toggleAttribute("data-stale", this.stale);
     this.showState();
     this.old.hidden = !this.stale;
-    if (!this.stale) { this.grid.dataset.age = ""; return; }
+    leaveToView(this.stale ? (said, health) => isAbout(said, health, this.now.press) : undefined);
+    const { utc } = this.now.channels[0] ?? {};
+    this.read.textContent = this.stale && utc ? asOf(utc) : "";
+    if (this.stale) this.showSilence(utc);
+  }
+
+  // A screen reader hears it once; how long it has been is there to be looked at.
+  showSilence(utc) {
     const silent = this.silentFor();
-    const since = () => `${text("page-stale-since", { time: clock(this.now.channels[0].utc) })} (${text("page-ago", { time: duration(silent) })})`;
-    this.old.textContent = silent === Infinity ? whySilent(silent) : since();
+    const cause = causeOf(healthNow(), this.now.press);
+    const [said, ago] = silent === Infinity ? [whySilent(silent), ""] : [text("page-stale-since", { time: clock(utc) }), ` (${text("page-ago", { time: duration(silent) })})`];
+    const parts = [said, ago, cause && `. ${cause}`];
+    this.old.children.length || this.old.append(...parts.map((_, i) => el("span", { "aria-live": i === 1 ? "off" : null })));
+    parts.forEach((part, i) => { if (this.old.children[i].textContent !== part) this.old.children[i].textContent = part; });
     this.showAnswer();
   }
 

@@ -1,8 +1,10 @@
 // All presses at once: one tile each with state, core, the one answer and what is wrong; thirty on one screen.
+import { leaveToView } from "../alarmbar.js";
 import { again, get } from "../api.js";
 import { el } from "../dom.js";
+import { isLimit } from "../silence.js";
 import { text } from "../words.js";
-import { showAnswer, showCore, showLight, startingOf, stateOf, wrongOf } from "./answer.js";
+import { showAnswer, showCore, showLight, stateOf } from "./answer.js";
 
 export async function show(place) {
   const grid = el("div", { class: "presses", "data-testid": "presses" });
@@ -12,15 +14,20 @@ export async function show(place) {
     const received = performance.now();
     for (const now of items) {
       if (!tiles.has(now.press)) tiles.set(now.press, tile(now.press));
-      Object.assign(tiles.get(now.press), { now, received, wrong: wrongOf(health, now.press, { tile: true }), starting: startingOf(health) });
+      Object.assign(tiles.get(now.press), { now, received, health });
     }
     if (!grid.parentNode) place.append(el("h1", { class: "unseen" }, text("page-nav-presses")), grid);
     if (grid.children.length !== tiles.size) grid.replaceChildren(...[...tiles.values()].map(({ node }) => node));
-    tiles.forEach(draw);
+    drawAll();
     fit(grid);
   };
+  // Whose tile says that its press is silent needs no line above it.
+  const drawAll = () => {
+    tiles.forEach(draw);
+    leaveToView((said) => tiles.get(said.arguments.press)?.node.classList.contains("stale") && isLimit(said, said.arguments.press));
+  };
   await load();
-  const ageing = setInterval(() => tiles.forEach(draw), 1000);
+  const ageing = setInterval(drawAll, 1000);
   const leave = again(load, 2000);
   return () => { leave(); clearInterval(ageing); };
 }
@@ -39,7 +46,7 @@ function tile(press) {
 }
 
 // Old numbers are grey here, too, and press by press.
-function draw({ node, state, core, band, answer, light, now, received, wrong, starting }) {
+function draw({ node, state, core, band, answer, light, now, received, health }) {
   const filesOnly = !now.channels.length; // runs came as files, nothing records here: nothing is wrong and nothing is late
   if (filesOnly) {
     node.classList.add("stale");
@@ -56,5 +63,5 @@ function draw({ node, state, core, band, answer, light, now, received, wrong, st
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate, { tile: true });
   showAnswer(answer, now, stale ? silent : null);
-  showLight(light, { now, silent: stale ? silent : null, wrong, starting, tile: true });
+  showLight(light, { now, health, silent: stale ? silent : null, tile: true });
 }

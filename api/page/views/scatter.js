@@ -2,14 +2,14 @@
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
 import { el, midnight, number } from "../dom.js";
-import { numberName, text } from "../words.js";
+import { language, numberName, text } from "../words.js";
 
 const MOST = 2000;
 const AXES = ["x", "y"];
 
 // What the runs are looked for by, from the address of list and scatter.
 export const asked = (filter, context) => ({
-  press: context.presses.length > 1 ? context.press : "", q: filter.q, where: filter.where.replace(/\s*([<>=]+)\s*/g, "$1").split(/\s+/).filter(Boolean), verdict: filter.verdict, status: filter.status,
+  press: context.presses.length > 1 ? context.press : "", q: filter.q, language: language(), where: filter.where.replace(/\s*([<>=]+)\s*/g, "$1").split(/\s+/).filter(Boolean), verdict: filter.verdict, status: filter.status,
   from: midnight(filter.from, 0), to: midnight(filter.to, 1),
 });
 

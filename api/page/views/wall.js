@@ -2,7 +2,7 @@
 import { again, get } from "../api.js";
 import { duration, el } from "../dom.js";
 import { text } from "../words.js";
-import { CoreChart, courseOf, showAnswer, showCore, showLight, showPeak, startingOf, stateOf, targetOf, take, wrongOf } from "./answer.js";
+import { CoreChart, LastCore, courseOf, showAnswer, showCore, showLight, showPeak, stateOf, targetOf, take } from "./answer.js";
 
 export async function show(place, context, [press]) {
   const wall = new Wall(place, context, press ?? context.press);
@@ -26,7 +26,7 @@ export async function show(place, context, [press]) {
 
 class Wall {
   constructor(place, context, press) {
-    Object.assign(this, { context, press, now: null, rows: null, shown: null, left: false });
+    Object.assign(this, { context, press, now: null, rows: null, shown: null, left: false, last: new LastCore() });
     this.core = el("div", { class: "core", "data-testid": "core" });
     this.band = el("div", { class: "band", "data-testid": "band" });
     this.answer = el("div", { class: "answer", "data-testid": "answer", role: "status" });
@@ -86,7 +86,6 @@ class Wall {
     const { now } = this;
     const last = now.run && now.run_status !== "open"; // what is drawn is no running pressing
     this.since.textContent = last ? `${text("page-last-pressing")} ${now.run}` : now.state !== "closed" || now.time_since_closing_s === null ? "" : duration(now.time_since_closing_s);
-    showCore(this.core, this.band, now.state, now.estimate);
     this.showAge();
     this.drawChart();
   }
@@ -103,6 +102,8 @@ class Wall {
   showAge() {
     const silent = this.age + (performance.now() - this.received) / 1000;
     const stale = silent > this.now.silent_after_s;
+    const core = this.last.of(this.now, stale);
+    showCore(this.core, this.band, core.state, core.estimate, core);
     document.documentElement.toggleAttribute("data-stale", stale);
     if (stale !== this.stale) {
       this.stale = stale;
@@ -113,6 +114,6 @@ class Wall {
     this.state.textContent = text(`page-state-${state}`);
     showAnswer(this.answer, this.now, stale ? silent : null);
     showPeak(this.peak, this.now, stale ? silent : null);
-    showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong: wrongOf(this.health, this.now.press), starting: startingOf(this.health) });
+    showLight(this.light, { now: this.now, health: this.health, silent: stale ? silent : null });
   }
 }
