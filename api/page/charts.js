@@ -5,6 +5,7 @@ import { text } from "./words.js";
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const open = new Set();
+const HINT_MS = 2500; // long enough to be read
 
 export function redrawAll() {
   for (const chart of open) chart.rebuild();
@@ -30,15 +31,17 @@ export class TimeChart {
     this.touched = false;
     this.holder = el("div", { class: "chart", role: "application", tabindex: "0", "aria-label": `${label}. ${text("page-chart-keys")}`, onkeydown: (event) => this.press(event) });
     this.holder.addEventListener("wheel", (event) => {
-      if (!event.ctrlKey && !event.shiftKey) return; // the page scrolls
+      if (!event.ctrlKey && !event.shiftKey) return this.hint(); // the page scrolls
+      this.wheel.hidden = true;
       event.preventDefault();
       this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, this.across(event.clientX));
     }, { passive: false });
     for (const kind of ["touchstart", "touchmove", "touchend", "touchcancel"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
-    this.holder.addEventListener("pointermove", (event) => { if (event.pointerType === "mouse") this.touched = false; });
+    this.holder.addEventListener("pointermove", (event) => this.moved(event));
     this.holder.addEventListener("dblclick", () => this.hold(false)); // which shows all again
     this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, release);
-    this.holder.append(this.release);
+    this.wheel = el("div", { class: "wheel", "aria-hidden": "true", hidden: true }, text("page-chart-wheel"));
+    this.holder.append(this.release, this.wheel);
     this.tip = el("div", { class: "chart-tip", hidden: true });
     this.holder.append(this.tip);
     parent.append(this.holder);
@@ -244,6 +247,21 @@ export class TimeChart {
     const first = min + share * (max - min) - to * shown;
     this.hold(true);
     this.plot.setScale("x", { min: first, max: first + shown });
+  }
+
+  moved({ pointerType, movementX, movementY }) {
+    if (pointerType !== "mouse") return;
+    this.touched = false;
+    if (movementX || movementY) this.pointed = true; // not moved under the mouse by a page that scrolls
+  }
+
+  // Who goes to a chart with the mouse and turns the wheel means to zoom; whose page scrolls past does not.
+  hint() {
+    if (!this.pointed) return;
+    this.pointed = false;
+    this.wheel.hidden = false;
+    clearTimeout(this.hinted);
+    this.hinted = setTimeout(() => { this.wheel.hidden = true; }, HINT_MS);
   }
 
   // How far across the chart a place on the screen is, 0 to 1.

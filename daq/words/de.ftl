@@ -2586,6 +2586,7 @@ page-chart-high = obere Grenze
 page-chart-keys = Pfeiltasten lesen Werte, mit Umschalt verschieben sie den Ausschnitt; + und − vergrößern, 0 zeigt wieder alles
 page-chart-low = untere Grenze
 page-chart-newer = Neuere zeigen
+page-chart-wheel = Zum Vergrößern Strg halten und das Mausrad drehen
 page-chart-whole = Alles zeigen
 page-choose-press = Presse
 page-core-predicted = Kern, vorhergesagt

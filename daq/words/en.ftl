@@ -2573,6 +2573,7 @@ page-chart-high = upper bound
 page-chart-keys = Arrow keys read values, with Shift they move the part shown; + and − zoom, 0 shows all again
 page-chart-low = lower bound
 page-chart-newer = Show newer
+page-chart-wheel = To zoom, hold Ctrl and turn the wheel
 page-chart-whole = Show all
 page-choose-press = Press
 page-core-predicted = Core, predicted

@@ -574,6 +574,35 @@ def test_a_part_of_the_chart_stays_in_view_until_follow_is_pressed(pressing):
     expect(drawer.locator("tbody tr").nth(rows - 1)).to_be_attached()
 
 
+@pytest.mark.parametrize(("locale", "says"), [("en-GB", "hold Ctrl"), ("de-DE", "Strg halten")])
+def test_who_turns_the_wheel_over_a_chart_is_shown_how_it_zooms_and_who_scrolls_past_is_not(
+    served, browser, tmp_path, locale, says
+):
+    server, feed, _ = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=60, batch=10)
+    page = browser.new_page(viewport={"width": 1280, "height": 400}, locale=locale)
+    page.goto(server.url + "#/now")
+    chart = page.locator(".chart").first
+    expect(chart.locator("canvas")).to_be_visible()
+    hint = chart.locator(".wheel")
+    page.mouse.move(700, 395)
+    page.mouse.wheel(0, 120)  # the chart comes below the mouse, which nobody moved
+    page.wait_for_function("scrollY > 0")
+    page.mouse.wheel(0, 20)
+    expect(hint).to_be_hidden()
+    chart.hover()
+    page.mouse.wheel(0, 10)
+    expect(hint).to_be_visible()
+    expect(hint).to_contain_text(says)
+    page.screenshot(path=tmp_path / "hint.png")
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -120)
+    expect(hint).to_be_hidden()
+    expect(chart.locator(".follow")).to_be_visible()
+    page.close()
+
+
 def test_a_part_of_the_chart_stays_in_view_while_the_next_pressing_comes(served):
     server, feed, page = served
     feed.pause_s = 0.0
