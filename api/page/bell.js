@@ -1,9 +1,9 @@
 // Tells of new alarms where people are: a sound and the browser's own notification, each switched on by hand.
 import { get } from "./api.js";
+import { claim, forget, onTaken } from "./tabs.js";
 import { inWords, text } from "./words.js";
 
 const KEPT = { sound: "kerntemp-alarm-sound", notification: "kerntemp-alarm-notification" };
-const NEWEST = "kerntemp-alarm-newest"; // up to which alarm this browser has announced; over a reload nothing is announced twice
 let audio = null;
 
 // What may have been taken back in the browser's own settings is no longer on.
@@ -13,7 +13,9 @@ export const wanted = (what) => localStorage.getItem(KEPT[what]) === "on" && (wh
 export async function want(what, on) {
   if (what === "sound" && on) ring();
   if (what === "notification" && on && (!("Notification" in window) || await Notification.requestPermission() !== "granted")) return false;
+  if (on) await forget(what);
   localStorage.setItem(KEPT[what], on ? "on" : "off");
+  if (on) await listen().catch(() => { /* the link state says it */ });
   return true;
 }
 
@@ -46,16 +48,28 @@ function ring() {
   }
 }
 
+// How a browser announces; a page that may not sound leaves that to another tab, or to its own first click.
+const WAYS = {
+  sound: { able: () => audio?.state === "running", announce: ring },
+  notification: { able: () => true, announce: (fresh) => fresh.forEach(notify) },
+};
+
+const shown = new Map();
+function notify({ id, message, message_said: said }) {
+  shown.set(id, new Notification(text("page-alarm-new"), { body: inWords(said, message), tag: `kerntemp-alarm-${id}` }));
+}
+
+// What somebody has taken on needs no notification any more.
+onTaken((id) => {
+  shown.get(id)?.close?.();
+  shown.delete(id);
+});
+
 export async function listen() {
   const { items } = await get("/alarms", { pending: true, limit: 20 });
-  const before = localStorage.getItem(NEWEST);
-  const newest = Math.max(Number(before ?? 0), ...items.map((one) => Number(one.id)));
-  if (String(newest) !== before) localStorage.setItem(NEWEST, String(newest));
-  if (before === null) return; // the first look of this browser: what stands already is on the page
-  const fresh = items.filter((one) => Number(one.id) > Number(before) && !one.acknowledged_utc);
-  if (!fresh.length) return;
-  if (wanted("sound") && audio?.state === "running") ring();
-  if (wanted("notification")) {
-    for (const one of fresh) new Notification(text("page-alarm-new"), { body: inWords(one.message_said, one.message), tag: `kerntemp-alarm-${one.id}` });
+  for (const [way, { able, announce }] of Object.entries(WAYS)) {
+    if (!wanted(way) || !able()) continue;
+    const fresh = (await claim(way, items)).filter((one) => !one.acknowledged_utc);
+    if (fresh.length) announce(fresh);
   }
 }

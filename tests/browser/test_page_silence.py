@@ -8,6 +8,8 @@ import threading
 import pytest
 from playwright.sync_api import expect
 
+from api.http.tokens import TokenFile
+from daq.words import say
 from tests.browser.conftest import CHANNELS, LAB
 
 TOLD = re.compile(r"(?:no|new) (?:new )?reading|no scan|silent|does not run", re.IGNORECASE)
@@ -117,3 +119,78 @@ def test_many_alarms_leave_the_screen_to_what_they_are_about(served, browser, tm
     page.close()
     over.set()
     heart.join()
+
+
+ANNOUNCED = """
+window.notified = [];
+window.Notification = class {
+  static permission = "granted";
+  static requestPermission() { return Promise.resolve("granted"); }
+  constructor(title, options) { window.notified.push(options.body); }
+  close() { window.notified.push("closed"); }
+};
+window.tones = 0;
+window.OscillatorNode = class extends window.OscillatorNode {
+  start(...at) { window.tones += 1; return super.start(...at); }
+};
+for (const way of ["sound", "notification"]) localStorage.setItem(`kerntemp-alarm-${way}`, "on");
+"""
+
+
+def test_of_two_tabs_one_gives_the_sound_and_the_notification_and_both_show_who_took_the_alarm_on(served, browser):
+    server, feed, _ = served
+    token = TokenFile(server.config.parent / "kerntemp-tokens.json").create("foreman", "write")
+    context = browser.new_context(locale="en-GB")
+    context.add_init_script(ANNOUNCED + f"sessionStorage.setItem('kerntemp-token', {token!r});")
+    tabs = [context.new_page() for _ in range(2)]
+    context.clock.install()
+    for tab in tabs:
+        tab.goto(server.url + "#/alarms")
+        expect(tab.get_by_test_id("alarms")).to_contain_text("No alarm yet.")
+        tab.locator("h1").click()  # a page may sound once it was clicked
+        expect(tab.locator("#muted")).to_be_hidden()
+        tab.evaluate("async () => (await import('./static/bell.js')).listen()")
+    feed.store.log("alarm", "record", say("store-trouble", why="nobody knows", count=3), "lab")
+    bell = "const { listen } = await import('./static/bell.js')"
+    looks = f"async () => {{ {bell}; await Promise.all([listen(), listen()]); }}"
+    for tab in tabs:
+        tab.evaluate(f"() => {{ ({looks})(); }}")  # both at once, and each beside its own looking
+    for tab in tabs:
+        expect(tab.get_by_role("button", name="Acknowledge")).to_have_count(1)
+        tab.evaluate(looks)
+    notified = [one for tab in tabs for one in tab.evaluate("window.notified")]
+    assert len(notified) == 1
+    assert "nobody knows" in notified[0]
+    assert sum(tab.evaluate("window.tones") for tab in tabs) == 2  # one sound is two tones
+    context.clock.pause_at(tabs[0].evaluate("Date.now()") / 1000 + 1)  # nobody looks again by himself
+    tabs[0].get_by_role("button", name="Acknowledge").click()
+    for tab in tabs:
+        expect(tab.get_by_test_id("alarms")).to_contain_text("by foreman")
+    assert [one for tab in tabs for one in tab.evaluate("window.notified")].count("closed") == 1
+    context.close()
+
+
+ROUNDS = 50
+CLAIMING = f"""async (begin) => {{
+    const {{ claim }} = await import('./static/tabs.js'), mine = [];
+    for (let number = 0; number < {ROUNDS}; number += 1) {{
+        await new Promise((due) => setTimeout(due, begin + 30 * number - Date.now()));
+        mine.push(...await claim('test', [{{ id: String(number), raised_utc: new Date(number).toISOString() }}]));
+    }}
+    return mine.map(({{ id }}) => Number(id));
+}}"""
+
+
+def test_an_alarm_that_several_tabs_see_at_once_is_announced_by_one_of_them(served, browser):
+    server, _, _ = served
+    context = browser.new_context()
+    tabs = [context.new_page() for _ in range(3)]
+    for tab in tabs:
+        tab.goto(server.url + "#/runs")
+        expect(tab.locator("main .card").first).to_be_visible()
+    begin = tabs[0].evaluate("Date.now()") + 1000
+    for tab in tabs:
+        tab.evaluate(f"(begin) => {{ window.claimed = ({CLAIMING})(begin); }}", begin)
+    claimed = [number for tab in tabs for number in tab.evaluate("window.claimed")]
+    assert sorted(claimed) == list(range(1, ROUNDS))  # the first look takes nothing
+    context.close()

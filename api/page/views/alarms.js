@@ -3,6 +3,7 @@ import { announce } from "../announce.js";
 import { again, get, post, put } from "../api.js";
 import { wanted, want } from "../bell.js";
 import { clock, el, table, when, written } from "../dom.js";
+import { onTaken, taken } from "../tabs.js";
 import { inFieldWords, inWords, text } from "../words.js";
 
 const LIMITS = [["core_above_C", "page-alarm-core", "°C"], ["platen_above_C", "page-alarm-platen-above", "°C"], ["platen_below_C", "page-alarm-platen-below", "°C"],
@@ -24,16 +25,17 @@ export async function show(place, context) {
     const inHand = list.contains(document.activeElement) || list.matches(":active"); // a button drawn anew while it is pressed is not clicked
     if (content === drawn || (inHand && !now)) return;
     drawn = content;
-    drawList(list, items, () => load(true));
+    drawList(list, items);
   };
   await load(); // first: a list that came later would push away what is below it, from under a finger
   place.append(list, bellCard(), limits);
   if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
   else limits.remove();
-  return again(load, 3000);
+  const [stop, deaf] = [again(load, 3000), onTaken(() => load(true).catch(() => { /* the next look shows it */ }))];
+  return () => { stop(); deaf(); };
 }
 
-function drawList(place, items, load) {
+function drawList(place, items) {
   const message = el("p", { role: "status", class: "small" });
   const heads = [{ text: text("page-when") }, { text: text("page-status"), class: "wide" }, { text: text("page-what"), class: "wide" }, { text: text("page-alarm-taken") }];
   const rows = items.map((one) => [when(one.raised_utc),
@@ -45,7 +47,7 @@ function drawList(place, items, load) {
         try {
           await post(`/alarms/${one.id}/acknowledge`);
           announce(text("page-alarm-taken"));
-          await load();
+          taken(one.id);
         } catch (error) { refuse(message, error); }
       } }, text("page-alarm-take"))]);
   place.replaceChildren(el("h1", {}, text("page-nav-alarms")), items.length ? table(text("page-nav-alarms"), heads, rows, { cards: true }) : el("p", { class: "faint" }, text("page-no-alarms")), message);
