@@ -388,8 +388,9 @@ def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -mat
     if moment.tzinfo:
         return moment.timestamp()
     local = moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC)
-    again = local.replace(fold=1)  # the hour that comes twice when clocks are set back
-    return (again if local.timestamp() <= before else local).timestamp()
+    first_s, again_s = local.timestamp(), local.replace(fold=1).timestamp()
+    comes_twice = again_s > first_s  # as an hour does when clocks are set back
+    return again_s if comes_twice and before - first_s > 0.5 * (again_s - first_s) else first_s
 
 
 def _moment(cell: str, layout: str) -> datetime:

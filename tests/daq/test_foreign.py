@@ -137,6 +137,25 @@ def test_times_are_understood_in_many_ways(tmp_path, layout, cells, expected):
     np.testing.assert_allclose(run.time_s, expected, atol=1e-5)
 
 
+TWICE = [
+    (["02:30:00", "02:30:00", "02:30:01"], [0.0, 1.0]),
+    (["02:59:59", "02:59:59", "02:00:00", "02:00:00", "02:00:01"], [0.0, 1.0, 2.0]),
+    (["02:30:00", "02:30:01", "02:30:00", "02:30:02"], [0.0, 1.0, 2.0]),
+    (["02:50:00", "02:15:00", "02:30:00"], [0.0, 1500.0, 2400.0]),
+]
+
+
+@pytest.mark.parametrize(("cells", "expected"), TWICE, ids=["repeated", "repeated at the change", "late", "gap"])
+def test_within_the_hour_that_comes_twice_a_repeated_or_late_row_is_no_change_of_clocks(tmp_path, cells, expected):
+    (tmp_path / "night.csv").write_text("t,x\n" + "".join(f"2026-10-25T{cell},20\n" for cell in cells))
+    (tmp_path / "m.toml").write_text(
+        '[time]\ncolumn = "t"\nformat = "iso"\nzone = "Europe/Berlin"\nrepeated = "first"\n'
+        '[[column]]\nfrom = "x"\nto = "x"\n'
+    )
+    run = read_foreign(tmp_path / "night.csv", read_mapping(tmp_path / "m.toml"))
+    assert run.time_s.tolist() == expected
+
+
 def test_date_and_time_in_two_columns_over_the_hour_that_comes_twice(tmp_path):
     (tmp_path / "night.csv").write_text(
         "Datum;Uhrzeit;T1\n25.10.2026;02:59:58;20,5\n25.10.2026;02:59:59;20,6\n25.10.2026;02:00:00;20,7\n"
