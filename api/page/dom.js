@@ -43,6 +43,9 @@ export const written = (value) => new Intl.NumberFormat(locale(), { maximumFract
 // A channel's last value with its unit; a limit switch is 0 or 1.
 export const reading = (channel) => `${number(channel.value, channel.unit ? 1 : 0)} ${channel.unit}`.trim();
 
+// Words as people wrote them: marks of the direction of text in them end with them.
+export const byHand = (words) => el("bdi", {}, words);
+
 // Date and time, that part only between each other.
 export function when(utc) {
   return el("span", { class: "when" }, clock(utc).split(/(?<=,) /).map((part, i) => [i ? " " : "", el("span", { class: "num" }, part)]));

@@ -69,10 +69,11 @@ def test_neither_a_recipe_nor_a_material_is_named_with_characters_that_nobody_se
     unseen = {"panel.material": "MDF\u202e"}
     answers = [
         client.put("/press/next", json={"recipe": "MDF\u200b 19", "header": MDF}),
+        client.put("/press/next", json={"recipe": "91 FDM\u202e", "header": MDF}),
         client.put("/press/next", json={"header": unseen}),
         client.patch(f"/runs/{run}", json={"header": unseen}),
     ]
-    assert [answer.status_code for answer in answers] == [422] * 3
+    assert [answer.status_code for answer in answers] == [422] * 4
     assert all("\u202e" not in answer.text and "\u200b" not in answer.text for answer in answers)
     assert store.recipes() == {}
 

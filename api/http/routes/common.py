@@ -82,10 +82,10 @@ def _queries_of(dependant: Dependant) -> Iterator[str]:
         yield from _queries_of(one)
 
 
-_SEEN = r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]*$"
-Words = Annotated[str, Field(max_length=4000, pattern=_SEEN)]
-"""Any text but control characters, which no database keeps and no reader sees, and those that turn others round;
-lines and tabs may be, and other signs that nobody sees: names alone are held to `daq.tables.unseen`."""
+_KEPT = r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$"
+Words = Annotated[str, Field(max_length=4000, pattern=_KEPT)]
+"""Any text but control characters, which no database keeps and no reader sees. Lines and tabs may be, and marks of
+direction, which Arabic and Hebrew with figures need; names alone are held to `daq.tables.unseen`."""
 StoreDep = Annotated[Store, Depends(get_store)]
 PressesDep = Annotated[Mapping[str, str], Depends(get_presses)]
 ResinsDep = Annotated[Mapping[str, Path], Depends(get_resins)]

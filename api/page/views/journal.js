@@ -1,7 +1,7 @@
 // The journal: what processes, presses and people did, newest first; what repeats within minutes is one line.
 import { announce } from "../announce.js";
 import { get, post } from "../api.js";
-import { clock, duration, el, table, when } from "../dom.js";
+import { byHand, clock, duration, el, table, when } from "../dom.js";
 import { inWords, text } from "../words.js";
 import { refuse } from "./alarms.js";
 
@@ -106,15 +106,15 @@ function row(group) {
   const span = (at(newest) - at(group.at(-1))) / 1000;
   const runs = [...new Set(group.map(({ run }) => run).filter(Boolean))];
   return [when(newest.utc), `${newest.process}${newest.press ? ` · ${newest.press}` : ""}`,
-    el("div", {}, newest.level === "info" ? "" : [el("span", { class: `pill ${newest.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${newest.level}`)), " "], words,
+    el("div", {}, newest.level === "info" ? "" : [el("span", { class: `pill ${newest.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${newest.level}`)), " "], byHand(words),
       group.length > 1 && !ofPress(newest) ? el("details", { class: "small" }, el("summary", {}, text("page-repeated", { count: group.length, time: duration(span) })),
-        el("ul", {}, group.map((one) => el("li", {}, when(one.utc), ` ${shown(one)}`)))) : ""),
+        el("ul", {}, group.map((one) => el("li", {}, when(one.utc), " ", byHand(shown(one)))))) : ""),
     runs.length ? el("div", {}, runs.slice(0, 3).map((run) => el("div", { class: "num" }, el("a", { href: `#/runs/${encodeURIComponent(run)}` }, run))), runs.length > 3 ? "…" : "") : "–"];
 }
 
 function noteForm({ press }, done) {
   const message = el("p", { role: "status", class: "small" });
-  const input = el("input", { type: "text", id: "note", maxlength: 2000, required: true, autocomplete: "off" });
+  const input = el("input", { type: "text", id: "note", dir: "auto", maxlength: 2000, required: true, autocomplete: "off" });
   const form = el("form", { class: "row note" }, el("label", { for: "note", class: "small" }, text("page-note", { press })), input, el("button", { class: "button" }, text("page-note-keep")));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();

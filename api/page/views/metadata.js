@@ -1,6 +1,6 @@
 // What people know about a run: remark and header, changed with a token that may write, and the history of the changes.
 import { patch } from "../api.js";
-import { clock, el, table, written } from "../dom.js";
+import { byHand, clock, el, table, written } from "../dom.js";
 import { numberName, text } from "../words.js";
 import { VERDICTS } from "./panel.js";
 
@@ -33,19 +33,20 @@ const inPlainWords = (key, value) => (key === "panel.verdict" && VERDICTS.includ
 function historyOf(changes) {
   return el("details", {}, el("summary", { class: "small" }, `${text("page-changes")} (${changes.length})`),
     el("ul", { class: "small changes" }, [...changes].reverse().map((c) =>
-      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · ${c.who}`), el("br"), `${c.field === "remark" ? text("page-remark") : c.field}: ${inPlainWords(c.field, c.before)} → ${inPlainWords(c.field, c.after)}`))));
+      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · `, byHand(c.who)), el("br"), c.field === "remark" ? text("page-remark") : byHand(c.field), ": ",
+        byHand(inPlainWords(c.field, c.before)), " → ", byHand(inPlainWords(c.field, c.after))))));
 }
 
 function editor(run, path, cancel, done) {
-  const remark = el("textarea", { rows: 3, maxlength: 4000, id: "remark" });
+  const remark = el("textarea", { rows: 3, maxlength: 4000, id: "remark", dir: "auto" });
   remark.value = run.remark;
   const simple = Object.entries(run.header).filter(([name, value]) => name !== "run" && typeof value !== "object");
-  const fields = simple.map(([name, value]) => ({ name, value, input: el("input", { type: "text", id: `header-${name}`, value: value === "" ? "" : shown(value) }) }));
+  const fields = simple.map(([name, value]) => ({ name, value, input: el("input", { type: "text", id: `header-${name}`, dir: "auto", value: value === "" ? "" : shown(value) }) }));
   const added = [];
   const grid = el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, called(f.name)), f.input]).flat());
   const another = () => { // an empty line waits below the last one
     const name = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("page-new-key") });
-    const value = el("input", { type: "text", "aria-label": text("page-value") });
+    const value = el("input", { type: "text", dir: "auto", "aria-label": text("page-value") });
     name.addEventListener("input", another, { once: true });
     added.push({ name, value });
     grid.append(name, value);

@@ -164,7 +164,7 @@ function headCard(run, path, estimates) {
       run.closed_s !== null && run.opened_s !== null && `${text("page-pressed")} ${duration(run.opened_s - run.closed_s)}`, began(run.started_utc), `${run.scans} ${text("page-scans")}`]
       .filter(Boolean).join(" · ")),
     atOpening(run, estimates),
-    run.remark ? el("p", { class: "next", style: "white-space:pre-line" }, run.remark) : null);
+    run.remark ? el("p", { class: "next", dir: "auto", style: "white-space:pre-line" }, run.remark) : null);
 }
 
 // Sensors the fit leaves out because they do not follow their face.
