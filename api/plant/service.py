@@ -66,13 +66,16 @@ class _Feeds:
             thread.start()
         notifier = Notifier()
         notifier.ready("feeding the plant's systems")
-        while not self._stop.wait(BEAT_S):
-            stalled = [why for feed in self._feeds if (why := feed.stalled())]
-            status = self._beat("running", stalled)
-            (notifier.status if stalled else notifier.alive)(status)
-        notifier.stopping()
-        for thread in threads:
-            thread.join(15.0)
+        try:
+            while not self._stop.wait(BEAT_S):
+                stalled = [why for feed in self._feeds if (why := feed.stalled())]
+                status = self._beat("running", stalled)
+                (notifier.status if stalled else notifier.alive)(status)
+        finally:
+            notifier.stopping()
+            self._stop.set()
+            for thread in threads:
+                thread.join(15.0)
         self._beat("stopped")
         if self._failed:
             raise self._failed[0]

@@ -37,7 +37,7 @@ class Injector:
                 if mine:
                     self.armed, self.raised = set(), (thread, label)
             if mine:
-                raise Injected(label)
+                raise type(f"Injected_{abs(hash(label))}", (Injected,), {})(label)  # a kind of its own
             return function(*words, **options)
 
         return wrapper
