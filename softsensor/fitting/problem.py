@@ -30,7 +30,7 @@ from softsensor.signals.unknown import Unknown
 # Numbers without another source were set by hand, 2026-11.
 
 HUBER = 3.0
-"""Whitened residuals beyond this count in proportion, not squared."""
+"""Whitened residuals beyond this count in proportion, not squared, once a search is near its end."""
 SLOPE = clock_offset.EFFECT.key("seconds")
 """The model's derivative by this parameter is minus the slope of what the channels read."""
 SWITCH_TIMING_S = 0.025
@@ -107,6 +107,8 @@ class FitProblem:
     moving: Flags | None = None
     """Rows in which the press opens or closes or a panel is put in: their moment decides what is left of them, not
     the model (rows)."""
+    huber: float = HUBER
+    """Whitened residuals beyond this count in proportion; infinite: all are squared."""
     constant: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
     """By key and place: the prediction's derivative by a constant, taken once near the solution (rows).
     [K per unit of the key]"""
@@ -160,17 +162,15 @@ class FitProblem:
             derivatives.append(derivative)
         stacked = np.concatenate(z)
         far = np.abs(stacked)
-        inner = far <= HUBER
+        near = np.minimum(far, self.huber)
         mean, precision = self.precision
         pull = x - mean
-        loss = 0.5 * float(
-            np.where(inner, stacked * stacked, HUBER * (2.0 * far - HUBER)).sum() + pull @ (precision * pull)
-        )
+        loss = 0.5 * float((near * (2.0 * far - near)).sum() + pull @ (precision * pull))
         return Evaluation(
             x=x,
             z=stacked,
             jacobian=np.concatenate(jacobian),
-            weight=np.where(inner, 1.0, HUBER / np.maximum(far, 1e-300)),
+            weight=near / np.maximum(far, 1e-300),
             loss=loss,
             solution=solution,
             residual=tuple(residuals),

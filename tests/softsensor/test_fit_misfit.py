@@ -12,11 +12,14 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.diagnosis.missing_causes import stored_missing_causes, with_missing_causes
+from softsensor.fitting.one_run import fit_run
+from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import model_text
 from softsensor.heat.model_reading import parse_model
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.report.fit_figures import _campaign_title
 from softsensor.report.fit_report import fit_report
+from softsensor.signals.moments import moments_of
 
 PRESS = parse_press(press_toml())
 NAMES = PRESS.coefficient_names
@@ -167,3 +170,11 @@ def test_white_noise_in_place_of_faces_is_no_description(measured):
     (fitted,) = fit_campaign(PRESS, [replace(run, columns=run.columns | faces)]).runs
     assert not fitted.met
     assert not any(c.identifiable for c in fitted.coefficients.values())
+
+
+def test_a_pressing_with_a_cause_that_the_model_lacks_is_not_met_as_one_outlier_and_a_slow_departure():
+    run, truth = make_campaign(8610003, 2, effects=["resin_cure"])[1]
+    fit = fit_run(ThermalModel(PRESS), run, moments_of(run, PRESS), company=None)
+    assert fit.rmse_K < 0.75 * fit.initial_rmse_K
+    assert fit.rmse_still_K < 0.5
+    assert fit.closed_s == pytest.approx(truth.moments.closed_s, abs=1.0)  # a row
