@@ -63,8 +63,8 @@ def health_of(store: Store, now: datetime) -> Health:
         empty = StoreHealth(kind=KINDS[store.database.dialect], size_bytes=None, free_bytes=None, hours_left=None)
         return _health("down", now, empty, [], [spoken(error)])
     conditions = _conditions(store, statuses, processes, sizes.free_bytes, now)
-    alarms = [*conditions, *alarms, *(a.message for a in limits)]
-    return _health("degraded" if alarms else "ok", now, kept, processes, alarms)
+    urgent_first = [*(a.message for a in limits), *alarms, *conditions]
+    return _health("degraded" if urgent_first else "ok", now, kept, processes, urgent_first)
 
 
 def standing_alarms(store: Store, now: datetime) -> list[StandingAlarm]:

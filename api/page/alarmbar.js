@@ -5,7 +5,7 @@ import { inWords, text } from "./words.js";
 
 const MOST_LINES = 3; // thirty tiles still stand on a small screen below them
 let health = null;
-let ofView = () => false;
+let left = { place: null, says: () => false }; // to the view, for as long as its place is on the page
 
 export const healthNow = () => health;
 
@@ -14,14 +14,15 @@ export function showAlarms(newest) {
   draw();
 }
 
-// `says(message, health)`: whether the view itself says what an alarm says.
-export function leaveToView(says = () => false) {
-  ofView = says;
+// `says(message, health)`: whether the view in a place itself says what an alarm says. One that was left says nothing.
+export function leaveToView(place, says = () => false) {
+  if (!place.isConnected) return;
+  left = { place, says };
   if (health) draw();
 }
 
 function draw() {
-  const said = health.alarms_said.map((message, i) => ({ message, words: inWords(message, health.alarms[i]) })).filter(({ message }) => !ofView(message, health));
+  const said = health.alarms_said.map((message, i) => ({ message, words: inWords(message, health.alarms[i]) })).filter(({ message }) => !(left.place?.isConnected && left.says(message, health)));
   const starting = startingOf(health);
   const lines = [...said.slice(0, MOST_LINES).map(({ words }) => `⚠ ${words}`), ...(starting ? [starting] : [])];
   const more = said.length > MOST_LINES ? text("page-alarms-more", { count: said.length - MOST_LINES }) : "";

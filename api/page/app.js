@@ -38,7 +38,6 @@ async function show() {
   leave = null;
   unanswered = false;
   closeAll();
-  leaveToView();
   for (const handlers of Object.values(listeners)) handlers.clear();
   for (const link of document.querySelectorAll(".tabs a")) {
     if (link.dataset.view === name) link.setAttribute("aria-current", "page");
@@ -48,6 +47,7 @@ async function show() {
   document.title = `${text(`page-nav-${VIEWS[name] ? name : "now"}`)} · Kerntemp`;
   const place = el("div", { class: "stack", "data-loading": text("page-loading") });
   main.replaceChildren(place);
+  leaveToView(place);
   try {
     const done = await view.show(place, context, rest);
     if (mine === turn) leave = done ?? null;

@@ -4,6 +4,7 @@ import { claim, forget, onTaken } from "./tabs.js";
 import { inWords, text } from "./words.js";
 
 const KEPT = { sound: "kerntemp-alarm-sound", notification: "kerntemp-alarm-notification" };
+const LOOKED_AT = 20;
 let audio = null;
 
 // What may have been taken back in the browser's own settings is no longer on.
@@ -56,20 +57,35 @@ const WAYS = {
 
 const shown = new Map();
 function notify({ id, message, message_said: said }) {
-  shown.set(id, new Notification(text("page-alarm-new"), { body: inWords(said, message), tag: `kerntemp-alarm-${id}` }));
+  const notification = new Notification(text("page-alarm-new"), { body: inWords(said, message), tag: `kerntemp-alarm-${id}` });
+  notification.onclose = () => shown.delete(id);
+  shown.set(id, notification);
 }
 
 // What somebody has taken on needs no notification any more.
-onTaken((id) => {
-  shown.get(id)?.close?.();
+function withdraw(id) {
+  shown.get(id)?.close();
   shown.delete(id);
-});
+}
+
+onTaken(withdraw);
+
+// Also by somebody at another browser: the newest that wait are looked at, and what is taken on waits no more.
+function withdrawTaken(items) {
+  const waiting = items.filter((one) => !one.acknowledged_utc).map(({ id }) => id);
+  const oldest = items.length < LOOKED_AT ? 0 : Math.min(...items.map(({ id }) => Number(id)));
+  for (const id of shown.keys()) if (Number(id) >= oldest && !waiting.includes(id)) withdraw(id);
+}
 
 export async function listen() {
-  const { items } = await get("/alarms", { pending: true, limit: 20 });
-  for (const [way, { able, announce }] of Object.entries(WAYS)) {
-    if (!wanted(way) || !able()) continue;
-    const fresh = (await claim(way, items)).filter((one) => !one.acknowledged_utc);
-    if (fresh.length) announce(fresh);
-  }
+  const { items } = await get("/alarms", { pending: true, limit: LOOKED_AT });
+  withdrawTaken(items);
+  await Promise.all(Object.keys(WAYS).map((way) => hear(way, items).catch(reportError))); // one that fails leaves the other
+}
+
+async function hear(way, alarms) {
+  const { able, announce } = WAYS[way];
+  if (!wanted(way) || !able()) return;
+  const fresh = (await claim(way, alarms)).filter((one) => !one.acknowledged_utc);
+  if (fresh.length) announce(fresh);
 }

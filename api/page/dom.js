@@ -57,6 +57,9 @@ export function clock(utc, withDate = true) {
   return new Intl.DateTimeFormat(locale(), options).format(new Date(utc));
 }
 
+// With the date where that is not today's.
+export const clockToday = (utc) => clock(utc, new Date(utc).toDateString() !== new Date().toDateString());
+
 // When a run was; a file need not say it.
 export const began = (utc) => (utc ? clock(utc) : text("page-date-unknown"));
 

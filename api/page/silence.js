@@ -1,5 +1,5 @@
 // A press of which no reading comes: which alarms are about that, so that one sentence holds all of it.
-import { clock } from "./dom.js";
+import { clockToday } from "./dom.js";
 import { text } from "./words.js";
 
 // The recorders that serve a press; before any names its presses, each may be the one.
@@ -14,14 +14,14 @@ const ofRecorder = (said, health, press) => said.code.startsWith("health-process
 // Whether an alarm says what the silence of a press says already.
 export const isLimit = (said, press) => said.code === "alarm-silence" && said.arguments.press === press;
 
-// Whether an alarm is about the silence of a press: that it is silent, or that its recorder does not run.
+// Whether an alarm is about the silence of a press: that it is silent, or that its recorder is.
 export const isAbout = (said, health, press) => isLimit(said, press) || ofRecorder(said, health, press);
 
-// Why a press is silent, as far as it is known, and what to do; empty where nobody knows.
-export function causeOf(health, press) {
-  const said = health?.alarms_said.find((one) => ofRecorder(one, health, press));
-  return said ? text("page-process-not-running", said.arguments) : "";
+// Why a press is silent, as far as it is known, and what to do; empty where nobody knows, such as behind a lost link.
+export function causeOf(health, press, link) {
+  const said = link !== "lost" && health?.alarms_said.find((one) => ofRecorder(one, health, press));
+  return said ? text("page-no-sign-of-life", said.arguments) : "";
 }
 
 // When what is shown was true.
-export const asOf = (utc) => text("page-chart-as-of", { time: clock(utc, false) });
+export const asOf = (utc) => text("page-chart-as-of", { time: clockToday(utc) });

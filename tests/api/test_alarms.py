@@ -532,6 +532,15 @@ def test_limits_that_are_crossed_stand_in_health_and_nowhere_else(store):
     assert crossed(store) == set()
 
 
+def test_a_limit_that_is_crossed_comes_before_all_else_that_is_wrong(store):
+    press_with(store)
+    store.put_alarm_thresholds("lab", {"platen_below_C": 199.5}, "engineer")
+    store.log("alarm", "import", say("plain-text", text="a file is damaged"))
+    first, second, *others = health_of(store, NOW).alarms
+    assert (first, second) == ("lab: platen_bottom is below 199.5 °C", "a file is damaged")
+    assert len(others) == 2  # record and sense were never seen
+
+
 def test_a_silence_that_grows_from_seconds_to_hours_is_one_alarm(store):
     store.beat("record", {"state": "running"})
     began = datetime.now(UTC)

@@ -153,6 +153,8 @@ class Feed:
         self.shares = (0.0, 1 / 3, 2 / 3)
         """When the panel comes, the press closes and opens, as shares of the pressing."""
         self.period_s = 0.1
+        self.detail: dict[str, float] | None = None
+        """What estimates say beside the core."""
 
     def pressing(self, scans: int = 300, batch: int = 1) -> None:
         first, zero = self.number, 1000.0 + self.number * self.period_s
@@ -165,7 +167,10 @@ class Feed:
             self.store.append_scans(self.key, rows, events, begin)
             state = "closed" if due_at[1] < i + batch <= due_at[2] else "open"
             estimates = [
-                StoredEstimate(scan.number, scan.monotonic_s, state, 50.0, 1.0, 48.0, 52.0, True) for scan in rows
+                StoredEstimate(
+                    scan.number, scan.monotonic_s, state, 50.0, 1.0, 48.0, 52.0, True, detail=self.detail
+                )
+                for scan in rows
             ]
             self.store.append_estimates("lab", estimates)
             if self.stop.wait(self.pause_s):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import threading
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from playwright.sync_api import expect
@@ -12,8 +14,11 @@ from api.http.tokens import TokenFile
 from daq.words import say
 from tests.browser.conftest import CHANNELS, LAB
 
-TOLD = re.compile(r"(?:no|new) (?:new )?reading|no scan|silent|does not run", re.IGNORECASE)
+TOLD = re.compile(r"(?:no|new) (?:new )?reading|no scan|silent|sign of life", re.IGNORECASE)
 """A sentence that says of a silence that it is one."""
+CAUSE = "No sign of life of record; if it is not running, start kerntemp record"
+OTHER = "an alarm about something else"
+"""It stays on the bar whatever a view says itself."""
 
 
 @pytest.fixture
@@ -21,6 +26,8 @@ def falling_silent(served):
     """A pressing on a watched press; what ends it, and what ends the recorder's signs of life."""
     server, feed, page = served
     feed.shares = (0.0, 0.001, 0.999)
+    feed.detail = {"energy_kJ_m2": 480.0}
+    feed.store.log("alarm", "import", say("plain-text", text=OTHER))
     feed.store.put_alarm_thresholds("lab", {"silence_s": 5.0}, "foreman")
     over, dead = threading.Event(), set()
 
@@ -51,18 +58,18 @@ def test_silence_is_put_into_words_once_with_its_age_and_its_cause(falling_silen
     page.goto(server.url + "#/now")
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
     expect(page.locator(".banner")).to_be_hidden()
+    expect(page.locator(".facts")).to_contain_text("480 kJ/m²")
     end()
     banner, bar = page.locator(".banner"), page.locator("#alarms")
-    expect(banner).to_have_text(
-        re.compile(r"^No new reading since .*\(\d.* ago\)\. record does not run; start kerntemp record$")
-    )
+    expect(banner).to_have_text(re.compile(r"^No new reading since .*\(\d.* ago\)\. " + CAUSE + "$"))
     expect(page.get_by_test_id("answer")).to_have_text("not known")
-    expect(bar).to_be_empty()
+    expect(bar).to_have_text(f"⚠ {OTHER}")
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")  # as it was then
     expect(page.get_by_test_id("band")).to_contain_text("as of")
     expect(page.locator("main")).to_contain_text(re.compile(r"Channels\s*as of \d"))
+    expect(page.locator(".facts")).not_to_contain_text("kJ/m²")  # nothing is foreseen from old readings
     page.screenshot(path=tmp_path / "now.png", full_page=True)
-    said = banner.inner_text().removesuffix("record does not run; start kerntemp record")
+    said = banner.inner_text().removesuffix(CAUSE)
     assert len(TOLD.findall(page.locator("body").inner_text())) == len(TOLD.findall(said)) + 1
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.goto(server.url + "#/runs")  # where nothing else says it
@@ -72,21 +79,86 @@ def test_silence_is_put_into_words_once_with_its_age_and_its_cause(falling_silen
     expect(page.get_by_test_id("alarms").get_by_role("row", name="lab: no scan")).to_contain_text("stands")
 
 
-def test_a_tile_and_the_wall_put_silence_into_words_once(falling_silent, tmp_path):
+def test_a_tile_and_the_wall_put_silence_into_words_once(falling_silent, browser, tmp_path):
     server, page, end = falling_silent
     page.goto(server.url + "#/presses")
     tile = page.locator(".press-tile")
     expect(tile.locator(".core")).to_have_text("50.0°C")
+    wall = browser.new_page()
+    wall.goto(server.url + "#/wall")
+    expect(wall.get_by_test_id("core")).to_have_text("50.0°C")
     end()
     expect(tile).to_contain_text("not known, because no reading for")
     expect(tile.locator(".light")).to_have_class("light bad")
-    expect(page.locator("#alarms")).to_have_text(re.compile(r"^⚠ record: silent for [^⚠]*$"))
+    expect(page.locator("#alarms")).to_have_text(re.compile(f"^⚠ {OTHER}⚠ record: silent for [^⚠]*$"))
     page.screenshot(path=tmp_path / "presses.png")
     assert len(TOLD.findall(tile.inner_text())) == 1
+    page.goto(server.url + "#/wall")  # which never saw a core that it could keep
+    for one, core in ((page, "–°C"), (wall, "50.0°C")):
+        expect(one.get_by_test_id("answer")).to_contain_text("not known, because no reading for")
+        expect(one.get_by_test_id("health")).to_have_text(CAUSE)
+        expect(one.get_by_test_id("core")).to_have_text(core)
+    expect(wall.get_by_test_id("band")).to_contain_text("as of")
+    wall.screenshot(path=tmp_path / "wall.png")
+    server.end()  # from here on nobody knows
+    expect(wall.get_by_test_id("health")).to_have_text("no readings")
+    server.start()
+    wall.close()
+
+
+@pytest.fixture
+def silent(served):
+    """A press of which nothing was read since yesterday."""
+    server, feed, page = served
+    feed.store.put_alarm_thresholds("lab", {"silence_s": 5.0}, "foreman")
+    yesterday = datetime.now(UTC) - timedelta(days=1)
+    feed.store.append_scans(feed.key, [replace(feed._scan(0.0, 0), utc=yesterday)])
+    return server, feed, page
+
+
+@pytest.mark.parametrize("view", ["presses", "now"])
+def test_a_view_that_was_left_before_its_answer_came_hides_no_alarm(silent, view):
+    server, _, page = silent
+    page.goto(server.url + "#/runs")
+    bar, limit = page.locator("#alarms"), "lab: no scan for more than 5"
+    expect(bar).to_contain_text(limit)
+    held = []
+    asked = re.compile(r"/api/v1/press(\?.*)?$")
+    page.route(asked, lambda route: held.append(route))
+    with page.expect_request(asked):
+        page.evaluate(f"location.hash = '#/{view}'")
+    page.evaluate("location.hash = '#/runs'")
+    expect(page.locator("main .card").first).to_be_visible()
+    with page.expect_response(asked):
+        held[0].continue_()
+    page.evaluate(FRAMES)
+    assert limit in bar.inner_text()
+
+
+FRAMES = "new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))"
+
+
+def test_what_is_of_another_day_says_of_which(silent):
+    server, _, page = silent
+    page.goto(server.url + "#/now")
+    expect(page.locator(".as-of")).to_have_text(re.compile(r"^as of \d+/\d+/\d+, \d"))
+    says = "async (utc) => (await import('./static/silence.js')).asOf(utc)"
+    today = page.evaluate("new Date().toISOString()")
+    assert re.fullmatch(r"as of \d+:\d+:\d+.*", page.evaluate(says, today))
+
+
+def test_a_light_is_not_good_while_a_limit_of_silence_is_crossed(served):
+    server, feed, page = served
+    feed.store.put_alarm_thresholds("lab", {"silence_s": 2.0}, "foreman")
+    feed.pause_s = 3.5  # shorter than what the page calls silence
+    slow = threading.Thread(target=feed.pressing, args=(60_000,))
+    slow.start()
     page.goto(server.url + "#/wall")
-    expect(page.get_by_test_id("answer")).to_contain_text("not known, because no reading for")
-    expect(page.get_by_test_id("health")).to_have_text("record does not run; start kerntemp record")
-    page.screenshot(path=tmp_path / "wall.png")
+    light = page.get_by_test_id("health")
+    expect(light).to_have_text("lab: no scan for more than 2 s")
+    expect(light).to_have_class("light bad")
+    feed.stop.set()
+    slow.join(240)
 
 
 @pytest.mark.parametrize(("width", "height"), [(375, 812), (768, 1024), (1280, 800), (1366, 768), (1920, 1080)])
@@ -144,6 +216,7 @@ def test_of_two_tabs_one_gives_the_sound_and_the_notification_and_both_show_who_
     context.add_init_script(ANNOUNCED + f"sessionStorage.setItem('kerntemp-token', {token!r});")
     tabs = [context.new_page() for _ in range(2)]
     context.clock.install()
+    tabs[1].route("**/alarms/thresholds*", lambda _: None)  # not answered as long as this lasts
     for tab in tabs:
         tab.goto(server.url + "#/alarms")
         expect(tab.get_by_test_id("alarms")).to_contain_text("No alarm yet.")
@@ -163,10 +236,72 @@ def test_of_two_tabs_one_gives_the_sound_and_the_notification_and_both_show_who_
     assert "nobody knows" in notified[0]
     assert sum(tab.evaluate("window.tones") for tab in tabs) == 2  # one sound is two tones
     context.clock.pause_at(tabs[0].evaluate("Date.now()") / 1000 + 1)  # nobody looks again by himself
+    lists = re.compile(r"/alarms\?limit=100")
+    tabs[0].route(lists, lambda route: route.abort())
     tabs[0].get_by_role("button", name="Acknowledge").click()
-    for tab in tabs:
-        expect(tab.get_by_test_id("alarms")).to_contain_text("by foreman")
+    expect(tabs[1].get_by_test_id("alarms")).to_contain_text("by foreman")
+    tabs[0].unroute(lists)
+    context.clock.run_for(4000)  # the next look shows what could not be loaded, though the button has the focus
+    expect(tabs[0].get_by_test_id("alarms")).to_contain_text("by foreman")
     assert [one for tab in tabs for one in tab.evaluate("window.notified")].count("closed") == 1
+    context.close()
+
+
+REFUSED = "indexedDB.open = () => { throw new DOMException('not here', 'SecurityError'); };"
+LOST = """async () => {
+    for (const { name } of await indexedDB.databases()) {
+        const gone = indexedDB.deleteDatabase(name);
+        await new Promise((resolve, reject) => { gone.onsuccess = resolve; gone.onerror = reject; });
+    }
+}"""
+LISTEN = "async () => (await import('./static/bell.js')).listen()"
+
+
+@pytest.mark.parametrize("database", ["refused", "lost", "cleared", "full"])
+def test_an_alarm_is_announced_once_also_without_the_browsers_database(served, browser, database):
+    server, feed, _ = served
+    context = browser.new_context(locale="en-GB")
+    context.add_init_script(ANNOUNCED + (REFUSED if database == "refused" else ""))
+    tab = context.new_page()
+    tab.goto(server.url + "#/alarms")
+    expect(tab.get_by_test_id("alarms")).to_contain_text("No alarm yet.")
+    assert tab.evaluate("async () => (await import('./static/bell.js')).want('notification', true)")
+    devtools, origin = context.new_cdp_session(tab), server.url.rstrip("/")
+    if database == "lost":
+        tab.evaluate(LOST)
+    elif database == "cleared":
+        devtools.send("Storage.clearDataForOrigin", {"origin": origin, "storageTypes": "indexeddb"})
+    elif database == "full":
+        devtools.send("Storage.overrideQuotaForOrigin", {"origin": origin, "quotaSize": 1})
+    for number in (1, 2):
+        feed.store.log("alarm", "record", say("store-trouble", why="nobody knows", count=number), "lab")
+        expect(tab.get_by_test_id("alarms").get_by_role("row", name="nobody knows")).to_have_count(number)
+        for _ in range(2):
+            tab.evaluate(LISTEN)
+        assert sum("nobody knows" in one for one in tab.evaluate("window.notified")) == number
+    for one in feed.store.alarms().items:
+        feed.store.acknowledge_alarm(one.number, "foreman")  # by another browser
+    tab.evaluate(LISTEN)
+    notified = tab.evaluate("window.notified")
+    assert notified.count("closed") == len(notified) / 2
+    context.close()
+
+
+def test_a_browser_that_kept_the_newest_alarms_number_announces_what_came_since(served, browser):
+    server, feed, before = served
+    before.goto(server.url + "#/alarms")
+    expect(before.get_by_test_id("alarms")).to_contain_text("No alarm yet.")
+    feed.store.log("alarm", "record", say("store-trouble", why="nobody knows", count=1), "lab")
+    expect(before.get_by_test_id("alarms").get_by_role("row", name="nobody knows")).to_have_count(1)
+    context = browser.new_context(locale="en-GB")
+    context.add_init_script(ANNOUNCED + "localStorage.setItem('kerntemp-alarm-newest', '0');")
+    tab = context.new_page()
+    tab.goto(server.url + "#/alarms")
+    expect(tab.get_by_test_id("alarms")).to_contain_text("nobody knows")
+    for _ in range(2):
+        tab.evaluate(LISTEN)
+    assert sum("nobody knows" in one for one in tab.evaluate("window.notified")) == 1
+    assert tab.evaluate("localStorage.getItem('kerntemp-alarm-newest')") is None
     context.close()
 
 

@@ -15,24 +15,33 @@ const fieldNames = () => Object.fromEntries(LIMITS.map(([key, label]) => [`body.
 export async function show(place, context) {
   const list = el("section", { class: "card", "data-testid": "alarms" });
   const limits = el("section", { class: "card", "data-testid": "alarm-limits" });
-  let asked = 0, answered = 0, drawn = "";
+  let asked = 0, answered = 0, drawn = "", owed = Infinity;
   const load = async (now = false) => {
     const mine = ++asked;
+    if (now) owed = mine;
     const { items } = await get("/alarms", { limit: 100 });
     const content = JSON.stringify(items);
     if (mine < answered) return; // overtaken by a later answer
     answered = mine;
     const inHand = list.contains(document.activeElement) || list.matches(":active"); // a button drawn anew while it is pressed is not clicked
-    if (content === drawn || (inHand && !now)) return;
+    const due = mine >= owed;
+    if (due) owed = Infinity;
+    if (content === drawn || (inHand && !due)) return;
     drawn = content;
     drawList(list, items);
   };
-  await load(); // first: a list that came later would push away what is below it, from under a finger
-  place.append(list, bellCard(), limits);
-  if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
-  else limits.remove();
   const [stop, deaf] = [again(load, 3000), onTaken(() => load(true).catch(() => { /* the next look shows it */ }))];
-  return () => { stop(); deaf(); };
+  const leave = () => { stop(); deaf(); };
+  try {
+    await load(); // first: a list that came later would push away what is below it, from under a finger
+    place.append(list, bellCard(), limits);
+    if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
+    else limits.remove();
+  } catch (error) {
+    leave();
+    throw error;
+  }
+  return leave;
 }
 
 function drawList(place, items) {

@@ -1,7 +1,7 @@
 // What now and wall view share: the core with its band, the one answer, and the chart of the core with what is foreseen.
 import { TimeChart, key } from "../charts.js";
 import { duration, el, number } from "../dom.js";
-import { asOf, causeOf, isLimit } from "../silence.js";
+import { asOf, causeOf } from "../silence.js";
 import { inWords, text } from "../words.js";
 
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
@@ -68,22 +68,22 @@ export const startingOf = (health) => (health.processes.some(({ alive, state }) 
 
 // What is wrong for a press: an alarm that names it or, shorter in a tile, one that names none; not another press's.
 export function wrongOf({ alarms, alarms_said: said }, press, { tile = false } = {}) {
-  const i = said.findIndex((one) => (one.arguments?.press ?? press) === press && !isLimit(one, press));
+  const i = said.findIndex((one) => (one.arguments?.press ?? press) === press);
   return i < 0 ? "" : tile && !said[i].arguments?.press ? text("page-health-degraded") : inWords(said[i], alarms[i]);
 }
 
 // One light: green only where everything runs and what there is to say of the panel is known. That and for how long
 // nothing was read the answer says, and in a tile, that the core is not known; the light, why nothing is.
-export function showLight(light, { now, health = null, silent = null, tile = false }) {
+export function showLight(light, { now, health = null, silent = null, tile = false, link = null }) {
   const { state, estimate, press } = now;
+  if (silent !== null) {
+    light.className = "light bad";
+    light.replaceChildren(tile ? "" : causeOf(health, press, link) || el("span", { class: "unseen" }, text("page-no-readings")));
+    return;
+  }
   const wrong = health ? wrongOf(health, press, { tile }) : "";
   const starting = health ? startingOf(health) : "";
   const known = !starting && (state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known"));
-  if (silent !== null) {
-    light.className = "light bad";
-    light.replaceChildren(tile ? "" : causeOf(health, press) || wrong || el("span", { class: "unseen" }, text("page-no-readings")));
-    return;
-  }
   const fault = SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
   light.textContent = fault || starting || text(known ? "page-health-ok" : tile ? "page-health-runs" : "page-health-core-unknown");
@@ -93,7 +93,7 @@ export function showLight(light, { now, health = null, silent = null, tile = fal
 export class LastCore {
   of({ state, estimate, channels }, stale) {
     if (!stale && estimate?.reason !== "no scans") this.last = state !== "idle" && estimate?.valid ? { state, estimate } : null;
-    return stale && this.last ? { ...this.last, old: channels[0].utc } : { state, estimate, old: null };
+    return stale && this.last ? { ...this.last, old: channels[0]?.utc ?? null } : { state, estimate, old: null };
   }
 }
 

@@ -63,7 +63,7 @@ function channelCard(items, old) {
       ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("page-other-faults"), class: "right" }],
     items.map((c) => [several ? el("div", {}, c.name, el("p", { class: "small faint" }, c.press)) : c.name, c.logger || "–", el("span", { class: old(c) ? "num faint" : "num" }, c.value === null ? "–" : reading(c)),
       quality(c, old(c)),
-      el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
+      el("span", { class: "num" }, clockToday(c.last_good_utc)), count(c.gaps_last_hour),
       ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "page-readings")),
       el("span", { title: others(c).map(([cause, n]) => `${text(`cause-${cause.replaceAll(" ", "-")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))]), { cards: true }) : el("p", { class: "faint" }, text("page-no-channels")));
 }

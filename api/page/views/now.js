@@ -24,9 +24,9 @@ export async function show(place, context) {
   context.on("run", (data) => live.run(data));
   context.on("link", (state) => { if (state === "live") live.load().catch(() => {}); }); // the next poll asks again
   // Readings age from when they are shown, also while what is asked for next never comes.
-  const ageing = setInterval(() => live.now && live.showAge(), 1000);
+  const ageing = setInterval(() => live.now && !live.closed && live.showAge(), 1000);
   const stop = again(() => live.poll(), 2000);
-  const leave = () => { stop(); clearInterval(ageing); live.closed = true; document.documentElement.removeAttribute("data-stale"); };
+  const leave = () => { stop(); clearInterval(ageing); live.left = true; document.documentElement.removeAttribute("data-stale"); };
   try {
     await live.load();
   } catch (error) {
@@ -38,7 +38,12 @@ export async function show(place, context) {
 
 class LivePress {
   constructor(place, context) {
-    Object.assign(this, { place, context, closed: false, now: null, chart: null, rows: null, loading: false, last: new LastCore() });
+    Object.assign(this, { place, context, left: false, now: null, chart: null, rows: null, loading: false, last: new LastCore() });
+  }
+
+  // Also where another view was asked for before this one had its first answer.
+  get closed() {
+    return this.left || !this.place.isConnected;
   }
 
   async load() {
@@ -123,12 +128,11 @@ class LivePress {
     const { now } = this;
     this.showAge();
     this.showCore();
-    const { state, estimate } = this.last.of(now, this.stale);
     const target = now.target, deciding = targetOf(now);
     const rows = [
       [text("page-time-since-closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
       [text("page-target"), target ? text(deciding === null ? "page-target-not-deciding" : "page-target-value", { target: target.temperature_C }) : "–"],
-      ...ahead(state, believed(estimate)),
+      ...(this.stale ? [] : ahead(now.state, believed(now.estimate))), // nothing is foreseen from old readings
       [text("page-run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
       [text("page-press"), now.press],
     ];
@@ -184,11 +188,12 @@ class LivePress {
   showAge() {
     const before = this.stale;
     this.stale = this.now.channels.length > 0 && this.silentFor() > this.now.silent_after_s;
+    if (this.stale !== before) this.factsSoon();
     if (this.stale !== before && this.drawn) this.redraw();
     document.documentElement.toggleAttribute("data-stale", this.stale);
     this.showState();
     this.old.hidden = !this.stale;
-    leaveToView(this.stale ? (said, health) => isAbout(said, health, this.now.press) : undefined);
+    leaveToView(this.place, this.stale ? (said, health) => isAbout(said, health, this.now.press) : undefined);
     const { utc } = this.now.channels[0] ?? {};
     this.read.textContent = this.stale && utc ? asOf(utc) : "";
     if (this.stale) this.showSilence(utc);
@@ -197,7 +202,7 @@ class LivePress {
   // A screen reader hears it once; how long it has been is there to be looked at.
   showSilence(utc) {
     const silent = this.silentFor();
-    const cause = causeOf(healthNow(), this.now.press);
+    const cause = causeOf(healthNow(), this.now.press, this.context.live);
     const [said, ago] = silent === Infinity ? [whySilent(silent), ""] : [text("page-stale-since", { time: clock(utc) }), ` (${text("page-ago", { time: duration(silent) })})`];
     const parts = [said, ago, cause && `. ${cause}`];
     this.old.children.length || this.old.append(...parts.map((_, i) => el("span", { "aria-live": i === 1 ? "off" : null })));

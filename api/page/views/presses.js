@@ -24,7 +24,7 @@ export async function show(place) {
   // Whose tile says that its press is silent needs no line above it.
   const drawAll = () => {
     tiles.forEach(draw);
-    leaveToView((said) => tiles.get(said.arguments.press)?.node.classList.contains("stale") && isLimit(said, said.arguments.press));
+    leaveToView(place, (said) => tiles.get(said.arguments.press)?.node.classList.contains("stale") && isLimit(said, said.arguments.press));
   };
   await load();
   const ageing = setInterval(drawAll, 1000);

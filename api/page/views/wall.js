@@ -114,6 +114,6 @@ class Wall {
     this.state.textContent = text(`page-state-${state}`);
     showAnswer(this.answer, this.now, stale ? silent : null);
     showPeak(this.peak, this.now, stale ? silent : null);
-    showLight(this.light, { now: this.now, health: this.health, silent: stale ? silent : null });
+    showLight(this.light, { now: this.now, health: this.health, silent: stale ? silent : null, link: this.context.live });
   }
 }
