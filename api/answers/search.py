@@ -92,7 +92,8 @@ def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> SearchL
         For a bound on a number that none of them has and none may have: it is misspelt.
     """
     runs = every(lambda at: _page_at(store, wanted, at))
-    records = [r for r in runs if _matches(r, wanted)]
+    called = {verdict: words(Message(f"page-panel-{verdict}"), wanted.language) for verdict in VERDICTS}
+    records = [r for r in runs if _matches(r, wanted, called)]
     names = [r.run for r in records]
     errors = store.fit_errors(names) if "rmse_K" in wanted.numbers else {}
     fits = store.fits(names) if any(name.startswith(COEFFICIENT) for name in wanted.numbers) else {}
@@ -160,24 +161,16 @@ def numbers_of(
     return given | coefficients | own
 
 
-def _matches(record: RunRecord, wanted: Wanted) -> bool:
-    if wanted.verdict and record.header.get(VERDICT) != wanted.verdict:
+def _matches(record: RunRecord, wanted: Wanted, called: Mapping[str, str]) -> bool:
+    """Return whether a run is one looked for; `called` is what each verdict is called."""
+    verdict = record.header.get(VERDICT)
+    if wanted.verdict and verdict != wanted.verdict:
         return False
+    if not wanted.words:
+        return True
     given = (value for value in record.header.values() if isinstance(value, str))
-    texts = (
-        record.run,
-        record.press,
-        record.remark,
-        *given,
-        *_called(record.header.get(VERDICT), wanted.language),
-    )
-    text = "\n".join(texts).casefold()
+    text = "\n".join((record.run, record.press, record.remark, *given, called.get(str(verdict), ""))).casefold()
     return all(word.casefold() in text for word in wanted.words)
-
-
-def _called(verdict: object, language: str) -> tuple[str, ...]:
-    """Return what a verdict is called in a language, for none nothing."""
-    return (words(Message(f"page-panel-{verdict}"), language),) if verdict in VERDICTS else ()
 
 
 def _ordered(

@@ -24,10 +24,11 @@ export function leaveToView(place, says = () => false) {
 function draw() {
   const said = health.alarms_said.map((message, i) => ({ message, words: inWords(message, health.alarms[i]) })).filter(({ message }) => !(left.place?.isConnected && left.says(message, health)));
   const starting = startingOf(health);
-  const lines = [...said.slice(0, MOST_LINES).map(({ words }) => `⚠ ${words}`), ...(starting ? [starting] : [])];
+  const lines = said.slice(0, MOST_LINES).map(({ words }) => `⚠ ${words}`);
   const more = said.length > MOST_LINES ? text("page-alarms-more", { count: said.length - MOST_LINES }) : "";
   const bar = document.getElementById("alarms");
   bar.classList.toggle("calm", !said.length);
-  if (bar.textContent === lines.join("") + more) return;
-  bar.replaceChildren(...lines.map((line) => el("p", { title: line }, line)), more && el("p", {}, el("a", { href: "#/alarms" }, more)));
+  if (bar.textContent === lines.join("") + starting + more) return;
+  const link = (words, title) => el("p", {}, el("a", { href: "#/alarms", title }, words));
+  bar.replaceChildren(...lines.map((line) => link(line, line)), starting && el("p", {}, starting), more && link(more));
 }

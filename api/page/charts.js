@@ -38,6 +38,7 @@ export class TimeChart {
     }, { passive: false });
     for (const kind of ["touchstart", "touchmove", "touchend", "touchcancel"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
     this.holder.addEventListener("pointermove", (event) => this.moved(event));
+    this.holder.addEventListener("pointerleave", () => { this.pointed = false; });
     this.holder.addEventListener("dblclick", () => this.hold(false)); // which shows all again
     this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, release);
     this.wheel = el("div", { class: "wheel", "aria-hidden": "true", hidden: true }, text("page-chart-wheel"));
@@ -215,21 +216,37 @@ export class TimeChart {
     ctx.textBaseline = "bottom";
     ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
     ctx.lineWidth = 1.5 * devicePixelRatio;
-    const named = this.namedPhases(plot), head = bbox.top + size + 8 * devicePixelRatio; // where their names end
-    for (const one of this.marks) {
-      ctx.strokeStyle = ctx.fillStyle = style(one.colour);
-      const across = one.y !== undefined;
-      const at = plot.valToPos(across ? one.y : one.x, across ? "y" : "x", true);
+    for (const { name, colour, line: [from, to], at, align } of this.placedMarks(plot)) {
+      ctx.strokeStyle = ctx.fillStyle = style(colour);
       ctx.beginPath();
-      ctx.moveTo(across ? bbox.left : at, across ? at : bbox.top);
-      ctx.lineTo(across ? bbox.left + bbox.width : at, across ? at : bbox.top + bbox.height);
+      ctx.moveTo(...from);
+      ctx.lineTo(...to);
       ctx.stroke();
-      ctx.textAlign = across ? "right" : "left";
-      const right = bbox.left + bbox.width - 4 * devicePixelRatio;
-      const below = across && at - size < head && named.some(({ from, width }) => from + width + 12 * devicePixelRatio > right - ctx.measureText(one.name).width);
-      ctx.fillText(one.name, across ? right : at + 4 * devicePixelRatio, below ? Math.max(at, head) + size + 3 * devicePixelRatio : across ? at - 2 * devicePixelRatio : bbox.top + bbox.height - 4 * devicePixelRatio);
+      ctx.textAlign = align;
+      ctx.fillText(name, ...at);
     }
     ctx.restore();
+  }
+
+  // Where the marks stand, in pixels of the canvas: {name, colour, line: [from, to], at, align}, `at` below the word.
+  placedMarks(plot) {
+    const { ctx, bbox } = plot;
+    const ratio = devicePixelRatio, size = 11 * this.larger * ratio;
+    const bottom = bbox.top + bbox.height, end = bbox.left + bbox.width;
+    const named = this.namedPhases(plot), head = bbox.top + size + 8 * ratio; // where their names end
+    ctx.save();
+    ctx.font = `600 ${size}px system-ui, sans-serif`;
+    const placed = this.marks.map(({ name, colour, x, y }) => {
+      if (y === undefined) {
+        const at = plot.valToPos(x, "x", true);
+        return { name, colour, line: [[at, bbox.top], [at, bottom]], at: [at + 4 * ratio, bottom - 4 * ratio], align: "left" };
+      }
+      const at = plot.valToPos(y, "y", true), right = end - 4 * ratio;
+      const below = at - size < head && named.some(({ from, width }) => from + width + 12 * ratio > right - ctx.measureText(name).width);
+      return { name, colour, line: [[bbox.left, at], [end, at]], at: [right, below ? Math.max(at, head) + size + 3 * ratio : at - 2 * ratio], align: "right" };
+    });
+    ctx.restore();
+    return placed;
   }
 
   // While a reader looks at a part of the chart, new data do not move it; "follow" lets go.

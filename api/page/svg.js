@@ -14,7 +14,7 @@ export function svgOf(chart, gap) {
   const x = (value) => round(left + plot.valToPos(value, "x"));
   const y = (value) => round(top + plot.valToPos(value, "y"));
   const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap, top, height })),
-    ...chart.namedPhases(plot).map((phase) => nameOf(phase, 11 * chart.larger, top)), ...chart.marks.map((one) => mark(one, x, y, { left, top, width, height }))].join("");
+    ...chart.namedPhases(plot).map((phase) => nameOf(phase, 11 * chart.larger, top)), ...chart.placedMarks(plot).map((one) => mark(one, 11 * chart.larger))].join("");
   const legend = legendOf(chart, plot.width);
   const all = Math.ceil(plot.height + legend.height);
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${all}" viewBox="0 0 ${plot.width} ${all}" font-family="system-ui, sans-serif" font-size="12">`
@@ -78,10 +78,9 @@ function band(chart, s, i, there, { x, y }) {
   return edge.length ? `<path d="M${edge.join("L")}Z" fill="${style(s.colour ?? "--core-band")}"/>` : "";
 }
 
-function mark(one, x, y, { left, top, width, height }) {
-  const colour = style(one.colour);
-  const across = one.y !== undefined;
-  const [line, at] = across ? [`M${left} ${y(one.y)}H${left + width}`, `x="${left + width - 4}" y="${y(one.y) - 3}" text-anchor="end"`]
-    : [`M${x(one.x)} ${top}V${top + height}`, `x="${x(one.x) + 4}" y="${top + height - 4}"`];
-  return `<path d="${line}" stroke="${colour}" stroke-width="1.5" stroke-dasharray="6 4"/><text ${at} fill="${colour}" font-weight="600">${safe(one.name)}</text>`;
+function mark({ name, colour: called, line, at, align }, size) {
+  const colour = style(called);
+  const [from, to, [x, y]] = [...line, at].map((place) => place.map((v) => round(v / devicePixelRatio)));
+  return `<path d="M${from}L${to}" stroke="${colour}" stroke-width="1.5" stroke-dasharray="6 4"/>`
+    + `<text x="${x}" y="${round(y - 0.2 * size)}" text-anchor="${align === "right" ? "end" : "start"}" font-size="${round(size)}" fill="${colour}" font-weight="600">${safe(name)}</text>`;
 }

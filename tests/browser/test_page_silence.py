@@ -181,12 +181,13 @@ def test_many_alarms_leave_the_screen_to_what_they_are_about(served, browser, tm
     page.goto(server.url + "#/presses")
     bar = page.locator("#alarms")
     expect(page.locator(".press-tile")).to_have_count(30)
-    expect(bar.get_by_role("link")).to_have_text("27 weitere Alarme")
+    more = bar.get_by_role("link", name="27 weitere Alarme")
+    expect(more).to_be_visible()
     page.screenshot(path=tmp_path / "presses.png")
     assert bar.bounding_box()["height"] <= height / 4
     if width >= 1280:
         page.wait_for_function("document.querySelector('.presses').getBoundingClientRect().bottom <= innerHeight")
-    bar.get_by_role("link").click()
+    bar.get_by_role("link").first.click()  # a line that is cut off on a small screen leads to the whole of it, too
     expect(page.get_by_test_id("alarms").get_by_text("Messzeilen im Rückstand")).to_have_count(30)
     page.close()
     over.set()
