@@ -592,11 +592,14 @@ def test_who_turns_the_wheel_over_a_chart_is_shown_how_it_zooms_and_who_scrolls_
     chart = page.locator(".chart").first
     expect(chart.locator("canvas")).to_be_visible()
     hint = chart.locator(".wheel")
-    page.mouse.move(700, 395)
+    chart.hover()
+    page.evaluate("scrollTo(0, 0)")
+    page.mouse.move(700, chart.bounding_box()["y"] - 50)  # which leaves the chart
     page.mouse.wheel(0, 120)  # the chart comes below the mouse, which nobody moved
-    page.wait_for_function("scrollY > 0")
+    wait_until(lambda: page.evaluate("scrollY") == 120)
     page.mouse.wheel(0, 20)
-    expect(hint).to_be_hidden()
+    wait_until(lambda: page.evaluate("scrollY") == 140)
+    assert hint.is_hidden()
     chart.hover()
     page.mouse.wheel(0, 10)
     expect(hint).to_be_visible()
