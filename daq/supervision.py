@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 
 from daq.words import Message, say, spoken
 
-LOG = logging.getLogger("kerntemp.record")
+LOG = logging.getLogger("kerntemp")
 BEAT_S = 1.0
 """How often a process gives a sign of life. By hand, 2026-11. [s]"""
 IN_USE_S = 7 * 86400.0
@@ -24,6 +24,8 @@ IN_USE_S = 7 * 86400.0
 
 # Numbers without another source were set by hand, 2026-11.
 
+CALM_S = 60.0
+"""What comes back within this time has not been over: sensors flicker about a limit, faults come and go. [s]"""
 RESTART_S = 1.0
 """Between an exception and the next try: a fault that stays must not fill the journal or a core. [s]"""
 STALLED_S = 60.0
@@ -97,7 +99,7 @@ class Pending(Generic[T]):
 
 
 class Faults:
-    """What work meets that nobody foresaw: reported once until all is well again.
+    """What work meets that nobody foresaw: reported once until all is well again, for `CALM_S` at least.
 
     All is well when the work says so (`worked`), or a step of `steps` has ended well since.
     """
@@ -107,6 +109,8 @@ class Faults:
         """Why the work last ended, until it has gone well again."""
         self._name, self._pending = name, Pending(journal)
         self._steps, self._done = steps, 0
+        self._met_s: dict[str, float] = {}
+        """When each fault was last met. [s]"""
 
     def worked(self) -> None:
         """Note that all is well."""
@@ -119,10 +123,17 @@ class Faults:
         known, self.newest = self.newest, fault
         if self._steps is not None and self._steps.done > self._done:
             known, self._done = None, self._steps.done
-        if known != fault:
+        if not self._met_lately(str(fault)) and known != fault:
             LOG.error("%s", fault, exc_info=error)
             self._pending.add(fault)
         self.hand_over()
+
+    def _met_lately(self, fault: str) -> bool:
+        now_s = time.monotonic()
+        self._met_s = {one: at_s for one, at_s in self._met_s.items() if now_s - at_s < CALM_S}
+        lately = fault in self._met_s
+        self._met_s[fault] = now_s
+        return lately
 
     def hand_over(self) -> None:
         """Journal the faults not journalled yet; what the journal does not take is reported with the next."""

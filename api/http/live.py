@@ -12,6 +12,7 @@ import logging
 import math
 import time
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 from starlette.responses import StreamingResponse
@@ -74,13 +75,14 @@ class Hub:
         async with self._lock:
             if self.full:  # those that came at the same moment have been counted only now
                 return None
-            if self._position is None:
-                self._position = await asyncio.to_thread(self._begin)
-            if last_event_id:
-                behind, here = Position.parse(last_event_id), self._position
-                missed = await asyncio.to_thread(self._missed, behind, here)
+            with self._steps.step():
+                if self._task is None or self._position is None:  # nobody followed: an earlier one is of before
+                    self._position = await asyncio.to_thread(self._begin)
+                if last_event_id:
+                    behind, here = Position.parse(last_event_id), self._position
+                    missed = await asyncio.to_thread(self._missed, behind, here)
             self._queues.add(queue)
-        if self._task is None or self._task.done():
+        if self._task is None:
             self._task = asyncio.create_task(self._follow())
         return Listener(missed, queue)
 
@@ -93,7 +95,7 @@ class Hub:
             try:
                 async with self._lock:  # who joins holds it too: nobody is forgotten at the end
                     if self._closed or not self._queues:
-                        self._task, self._position = None, None
+                        self._task, self._position, self._faults.newest = None, None, None
                         return
                     with self._steps.step():
                         self._hand_out(await asyncio.to_thread(self._read))
@@ -101,9 +103,11 @@ class Hub:
                     await asyncio.to_thread(self._faults.worked)
             except StoreUnavailable as error:
                 LOG.warning("%s", error)
+                self._faults.newest = None  # the store's absence is reported by others
                 await asyncio.sleep(AGAIN_S)
             except Exception as error:  # noqa: BLE001 - whatever it is, those who listen must get what comes next
-                await asyncio.to_thread(self._faults.failed, error)
+                with suppress(Exception):  # as without memory: the next fault is reported
+                    await asyncio.to_thread(self._faults.failed, error)
                 await asyncio.sleep(AGAIN_S)
             await asyncio.sleep(POLL_S)
 
@@ -122,20 +126,23 @@ class Hub:
         return events
 
     def _read(self) -> list[bytes]:
+        """Return what is new and go on behind it; after a fault the next look has all of it."""
         if self._position is None:
             return []
-        events = list(news(self._store, self._position, sent=self._sent))
-        return events + self._changed(self._position)
+        position, sent = self._position.copy(), dict(self._sent)
+        events = [*news(self._store, position, sent=sent), *self._changed(position, sent)]
+        self._position, self._sent = position, sent
+        return events
 
-    def _changed(self, position: Position) -> list[bytes]:
+    def _changed(self, position: Position, sent: dict[str, Standpoint]) -> list[bytes]:
         """Return the newest estimates that were sent as valid and no longer are."""
         if time.monotonic() - self._looked_s < LOOK_S:
             return []
         self._looked_s = time.monotonic()
         events = []
         for press, (_, estimate) in now_of_all(self._store).items():
-            if self._sent.get(press) == (estimate.number, True) and not estimate.valid:
-                self._sent[press] = (estimate.number, False)
+            if sent.get(press) == (estimate.number, True) and not estimate.valid:
+                sent[press] = (estimate.number, False)
                 events.append(estimate_event(press, estimate, position))
         return events
 

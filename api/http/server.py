@@ -126,7 +126,8 @@ class _Server(uvicorn.Server):
 
     def _give_sign_of_life(self) -> None:
         """Feed the watchdog, unless what works beside the server stands still, or nobody gets live events."""
-        if why := self._stalled() or self.config.app.state.hub.stalled():  # type: ignore[union-attr]
+        beside, live = self._stalled(), self.config.app.state.hub.stalled()  # type: ignore[union-attr]
+        if why := beside or live:  # both were asked: each reports what it finds
             self._notifier.status(str(why))
         else:
             self._notifier.alive(f"{len(self.server_state.connections)} connections")

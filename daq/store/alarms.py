@@ -25,13 +25,11 @@ from daq.store.reading import newest_first
 from daq.store.records import Delivery, Page, StandingAlarm, StoredAlarm, Thresholds
 from daq.store.schema import ALARM, ALARM_DELIVERY, ALARM_POSITION, ALARM_THRESHOLD, ALARM_WAY, EVENT
 from daq.store.upsert import insert_new, put
-from daq.supervision import IN_USE_S
+from daq.supervision import CALM_S, IN_USE_S
 from daq.words import Message, say
 
 # Numbers without another source were set by hand, 2026-11.
 
-CALM_S = 60.0
-"""A condition that comes back within this time has not been over: sensors flicker about a limit. [s]"""
 IN_HAND_S = 45.0
 """A delivery that a process has taken in hand is another's after this time: it was killed. [s]"""
 LONGEST_WAIT_S = 600.0

@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ from api.plant.opcua import PressServer
 from daq.process.config import Config, MqttSettings, OpcuaSettings, StoreSettings
 from daq.process.notify import Notifier
 from daq.records import Channel, Quality, Scan
-from daq.store import Store, open_store
+from daq.store import Store, StoreUnavailable, open_store, waiting
 from daq.supervision import unexpected
 from daq.words import say
 from softsensor.jobs import live_service
@@ -118,6 +119,7 @@ def test_alarms_not_looked_for_or_not_sent_are_an_alarm_and_starve_the_watchdog(
 
 
 def test_a_fault_that_comes_back_after_all_went_well_is_an_alarm_again(stored, monkeypatch):
+    monkeypatch.setattr(daq.supervision, "CALM_S", 0.0)
     monkeypatch.setattr(watch, "LOOK_S", 0.01)
     monkeypatch.setattr(daq.supervision, "RESTART_S", 0.01)
     looked, broken, work = [], threading.Event(), Store.watch_alarms
@@ -187,29 +189,58 @@ def test_a_feed_of_the_plant_that_stands_still_is_told_and_starves_the_watchdog(
             feeds.join(240)
 
 
+class Reading:
+    """The hub's look into the store, which raises what is asked for."""
+
+    def __init__(self, monkeypatch, stored, folder):
+        self.raises, self.done, read = None, 0, Hub._read
+
+        def reading(hub):
+            self.done += 1
+            if error := self.raises and self.raises(self.done):
+                raise error
+            return read(hub)
+
+        monkeypatch.setattr(live, "AGAIN_S", 0.02)
+        monkeypatch.setattr(Hub, "_read", reading)
+        self._key = stored.register_press("lab", (Channel("platen_top"),))
+        self._stored, self._folder = stored, folder
+
+    def scan(self, number):
+        now = datetime.now(UTC)
+        self._stored.append_scans(self._key, [Scan(number, now, float(number), (20.0,), (Quality.GOOD,))])
+
+    @contextmanager
+    def served(self):
+        listening = Listening(port=0)
+        bound = listening.bind()
+        with running(make_server(self._stored, TokenFile(self._folder / "tokens.json"), listening), [bound]):
+            yield address_of(bound, tls=False)
+
+
+@pytest.fixture
+def reading(stored, tmp_path, monkeypatch, beats):
+    return Reading(monkeypatch, stored, tmp_path)
+
+
+def starved(beats):
+    """Wait until the watchdog starves for the live events; return since when it is certain."""
+    since = len(beats)
+    wait_until(lambda: len(beats) > since + 4 and all("live events" in beat for beat in beats[-3:]))
+    return len(beats)
+
+
 def test_while_live_events_fail_it_is_an_alarm_and_the_watchdog_starves_until_they_come_again(
-    stored, tmp_path, monkeypatch, beats
+    stored, monkeypatch, beats, reading
 ):
-    monkeypatch.setattr(live, "AGAIN_S", 0.02)
-    key = stored.register_press("lab", (Channel("platen_top"),))
-    broken, read = threading.Event(), Hub._read
-
-    def reading(self):
-        if broken.is_set():
-            raise KeyError("top_1")
-        return read(self)
-
-    monkeypatch.setattr(Hub, "_read", reading)
-    listening = Listening(port=0)
-    bound = listening.bind()
-    with running(make_server(stored, TokenFile(tmp_path / "tokens.json"), listening), [bound]):
-        stream = Stream(address_of(bound, tls=False))
+    monkeypatch.setattr(daq.supervision, "CALM_S", 0.0)
+    with reading.served() as address:
+        stream = Stream(address)
         for number, times in ((0, 1), (1, 2)):
-            broken.set()
-            starved = len(beats)
-            wait_until(lambda: len(beats) > starved + 4 and all("live events" in b for b in beats[-3:]))  # noqa: B023
-            stored.append_scans(key, [Scan(number, datetime.now(UTC), float(number), (20.0,), (Quality.GOOD,))])
-            broken.clear()
+            reading.raises = lambda _: KeyError("top_1")
+            starved(beats)
+            reading.scan(number)
+            reading.raises = None
             stream.wait("scan", times)
             wait_until(lambda: beats[-1] == "fed")
         stream.close()
@@ -217,20 +248,95 @@ def test_while_live_events_fail_it_is_an_alarm_and_the_watchdog_starves_until_th
     assert [(m.code, m.arguments["thread"]) for m in messages] == [("thread-failed", "live events")] * 2
 
 
-def test_live_events_that_stand_still_are_an_alarm_and_starve_the_watchdog(stored, tmp_path, monkeypatch, beats):
+def test_a_fault_of_live_events_that_comes_and_goes_is_one_alarm(stored, reading):
+    reading.raises = lambda done: KeyError("top_1") if done % 2 else None
+    with reading.served() as address:
+        stream = Stream(address)
+        wait_until(lambda: reading.done > 10)
+        stream.close()
+    assert [e.message.code for e in stored.journal(level="alarm").items] == ["thread-failed"]
+
+
+def test_a_fault_of_live_events_starves_no_watchdog_once_nobody_listens(beats, reading):
+    reading.raises = lambda _: KeyError("top_1")
+    with reading.served() as address:
+        stream = Stream(address)
+        since = starved(beats)
+        stream.close()
+        wait_until(lambda: "fed" in beats[since:])
+
+
+def test_a_fault_of_live_events_starves_no_watchdog_once_it_is_the_store_that_is_away(beats, reading):
+    reading.raises = lambda _: KeyError("top_1")
+    with reading.served() as address:
+        stream = Stream(address)
+        since = starved(beats)
+        reading.raises = lambda _: StoreUnavailable("away")
+        wait_until(lambda: "fed" in beats[since:])
+        stream.close()
+
+
+def test_a_fault_in_the_midst_of_a_look_costs_no_listener_an_event(monkeypatch, reading):
+    broken, looked, fits_after = threading.Event(), [], Store.fits_after
+
+    def fits(*arguments):
+        if broken.is_set():
+            looked.append(None)
+            raise KeyError("top_1")
+        return fits_after(*arguments)
+
+    monkeypatch.setattr(Store, "fits_after", fits)
+    with reading.served() as address:
+        stream = Stream(address)
+        broken.set()
+        for number in range(3):
+            reading.scan(number)
+            seen = len(looked)
+            wait_until(lambda: len(looked) > seen + 1)  # noqa: B023
+        broken.clear()
+        numbers = [event["data"]["number"] for event in stream.wait("scan", 3)]
+        stream.close()
+    assert numbers == [0, 1, 2]
+
+
+@pytest.mark.parametrize(("name", "last_event_id"), [("_read", ""), ("_begin", ""), ("_missed", "0/0//")])
+def test_live_events_that_stand_still_are_an_alarm_and_starve_the_watchdog(
+    stored, monkeypatch, beats, reading, name, last_event_id
+):
+    with (
+        standing(monkeypatch, Hub, name) as (stands, free),
+        reading.served() as address,
+        ThreadPoolExecutor(1) as one,
+    ):
+        stream = one.submit(Stream, address, last_event_id)  # who comes while it stands gets no answer yet
+        wait_until(stands.is_set)
+        starved_and_fed_again(beats, "live events", free)
+        stream.result().close()
+    (message,) = [e.message for e in stored.journal(level="alarm").items]
+    assert (message.code, message.arguments["thread"]) == ("thread-stalled", "live events")
+
+
+def test_two_that_stand_still_at_once_are_two_alarms(stored, tmp_path, monkeypatch, beats):
     stored.register_press("lab", (Channel("platen_top"),))
     listening = Listening(port=0)
     bound = listening.bind()
+
+    def stalled():
+        messages = [e.message for e in stored.journal(level="alarm").items]
+        return {m.arguments["thread"] for m in messages if m.code == "thread-stalled"}
+
     with (
-        standing(monkeypatch, Hub, "_read") as (stands, free),
-        running(make_server(stored, TokenFile(tmp_path / "tokens.json"), listening), [bound]),
+        standing(monkeypatch, Store, "watch_alarms") as (_, free),
+        standing(monkeypatch, Hub, "_read") as (stands, free_too),
+        watching(stored, []) as beside,
+        running(make_server(stored, TokenFile(tmp_path / "tokens.json"), listening, stalled=beside), [bound]),
     ):
         stream = Stream(address_of(bound, tls=False))
         wait_until(stands.is_set)
-        starved_and_fed_again(beats, "live events", free)
+        wait_until(lambda: stalled() == {"alarms", "live events"}, stalled)
+        free.set()
+        free_too.set()
         stream.close()
-    (message,) = [e.message for e in stored.journal(level="alarm").items]
-    assert (message.code, message.arguments["thread"]) == ("thread-stalled", "live events")
 
 
 def config_of(folder, stored):
@@ -269,3 +375,27 @@ def test_a_process_that_ends_by_what_nobody_foresaw_leaves_an_alarm(
     messages = [e.message for e in stored.journal(level="alarm").items]
     why = unexpected(KeyError("top_1"))
     assert messages == [say("process-failed", process=process, why=why)]
+
+
+def test_a_process_that_ends_in_the_same_way_again_and_again_gives_an_alarm_an_hour(stored, monkeypatch):
+    def ends(error):
+        with pytest.raises(type(error)), waiting.ending_reported(stored, "sense"):
+            raise error
+
+    def alarms():
+        return [str(e.message.arguments["why"]) for e in reversed(stored.journal(level="alarm").items)]
+
+    first, second = str(unexpected(KeyError("top_1"))), str(unexpected(ValueError("none")))
+    for error in (KeyError("top_1"), ValueError("none"), KeyError("top_1"), ValueError("none")):
+        ends(error)
+    assert alarms() == [first, second]
+    monkeypatch.setattr(waiting, "REPEATED_S", 0.0)
+    ends(KeyError("top_1"))
+    assert alarms() == [first, second, first]
+
+
+def test_whose_reader_has_gone_leaves_no_alarm(stored, tmp_path):
+    """As of ``kerntemp refit | head``: it is none of its own faults."""
+    with pytest.raises(BrokenPipeError), waiting.ending_reported(stored, "refit"):
+        raise BrokenPipeError
+    assert not stored.journal(level="alarm").items

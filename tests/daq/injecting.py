@@ -13,6 +13,11 @@ class Injected(Exception):
     """What nobody foresaw."""
 
 
+def name_of(call):
+    """Return the name of the kind of error that one call in one thread raises, its own."""
+    return f"Injected_{abs(hash(call))}"
+
+
 class Injector:
     """Wraps every function of some modules; raises once where and in which thread it is told to."""
 
@@ -37,7 +42,7 @@ class Injector:
                 if mine:
                     self.armed, self.raised = set(), (thread, label)
             if mine:
-                raise type(f"Injected_{abs(hash(label))}", (Injected,), {})(label)  # a kind of its own
+                raise type(name_of((thread, label)), (Injected,), {})(label)
             return function(*words, **options)
 
         return wrapper
