@@ -46,8 +46,10 @@ import codecs
 import csv
 import fnmatch
 import math
+import statistics
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -67,6 +69,11 @@ _DELIMITERS = {"tab": "\t", "space": " "}
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
 _DAY_S = 86400.0
 """By definition; a clock that jumps back by more than half of it has passed midnight. [s]"""
+_LATE_STEPS = 10.0
+"""What lies further back than so many of a file's own steps is no row that came late: with one a second a pause is
+read wrong where it lasts the hour but for 10 s. Set by hand, 2026-11."""
+_STEPS = 9
+"""Whose median is a file's own step: a pause or two do not count. Set by hand, 2026-11."""
 
 
 class _MappingTable(BaseModel):
@@ -352,10 +359,11 @@ def _rows_in_order(path: Path, rows: Iterator[_Row], names: _Row, mapped: Mapped
     """Yield the rows with their times, which rise."""
     places = [names.cells.index(column) for column in mapped.time.columns]
     start, days, before = math.nan, 0.0, -math.inf
+    steps: deque[float] = deque(maxlen=_STEPS)
     clock, instants = mapped.time.format == "clock", mapped.time.format not in _SECONDS
     for row in rows:
         cell = " ".join(row.cells[place] for place in places)
-        time_s = _time(path, row, cell, mapped, before)
+        time_s = _time(path, row, cell, mapped, before, steps)
         if clock and time_s + days < before - 0.5 * _DAY_S:
             days += _DAY_S
         time_s += days
@@ -364,13 +372,17 @@ def _rows_in_order(path: Path, rows: Iterator[_Row], names: _Row, mapped: Mapped
                 continue
             named = " + ".join(mapped.time.columns)
             raise InputError(at(path, say("foreign-time-falls", cell=repr(cell)), line=row.line, column=named))
-        before = time_s
-        if start != start:
+        if start == start:
+            steps.append(time_s - before)
+        else:
             start = time_s if mapped.time.from_zero or instants else 0.0
+        before = time_s
         yield row, round(time_s - start, 6)
 
 
-def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -math.inf) -> float:
+def _time(
+    path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -math.inf, steps: Collection[float] = ()
+) -> float:
     layout = mapped.time.format
     try:
         if layout in _SECONDS:
@@ -387,10 +399,22 @@ def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -mat
         raise InputError(at(path, problem, line=row.line, column=named)) from error
     if moment.tzinfo:
         return moment.timestamp()
-    local = moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC)
+    return _instant(moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC), before, steps)
+
+
+def _instant(local: datetime, before: float, steps: Collection[float]) -> float:
+    """Return the instant of a local time: of one that comes twice the second where it is no row that came late.
+
+    Late is what lies back by few of the file's own steps, and by less than the second lies ahead.
+    """
     first_s, again_s = local.timestamp(), local.replace(fold=1).timestamp()
-    comes_twice = again_s > first_s  # as an hour does when clocks are set back
-    return again_s if comes_twice and before - first_s > 0.5 * (again_s - first_s) else first_s
+    back_s, ahead_s = before - first_s, again_s - before
+    if (
+        again_s <= first_s or back_s < 0.0
+    ):  # not the hour that comes twice when clocks are set back, or still its first
+        return first_s
+    few_s = _LATE_STEPS * statistics.median(steps) if steps else 0.0
+    return first_s if back_s <= few_s and back_s < ahead_s else again_s
 
 
 def _moment(cell: str, layout: str) -> datetime:
