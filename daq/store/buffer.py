@@ -269,7 +269,7 @@ def _holds_nothing(path: Path) -> bool:
             return False
         if not path.is_file() or not path.stat().st_size:
             return True
-        as_it_is = f"{path.absolute().as_uri()}?immutable=1"
+        as_it_is = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(as_it_is, uri=True)) as connection:
             return _count(connection) == 0
     except (sqlite3.Error, OSError):

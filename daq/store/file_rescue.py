@@ -163,8 +163,9 @@ class HeldFile:
 
 
 def _without_log(path: Path) -> sqlite3.Connection:
-    """Open a file as its last checkpoint left it."""
-    return sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True, isolation_level=None)
+    """Open a file as its last checkpoint left it; none is made where there is none."""
+    as_it_is = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    return sqlite3.connect(as_it_is, uri=True, isolation_level=None)
 
 
 def _hold(path: Path) -> sqlite3.Connection:

@@ -15,7 +15,7 @@ from daq.recording import recorder
 from daq.recording.recorder import PageWatch
 from daq.store import file_rescue, open_store
 from daq.store import outbox as outbox_module
-from daq.store.file_rescue import damage_of
+from daq.store.file_rescue import HeldFile, damage_of
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
 from daq.words import say
@@ -295,3 +295,14 @@ def test_a_store_closed_beside_another_on_the_same_file_leaves_that_its_log(tmp_
         assert log.stat().st_ino == before
         with closing(sqlite3.connect(path)) as connection:
             assert connection.execute("SELECT count(*) FROM scan").fetchone() == (1,)
+
+
+def test_to_ask_whether_an_older_state_lies_in_a_files_place_makes_none_where_none_is(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with open_store(str(path)) as store:
+        store.register_press("lab", CHANNELS)
+    held = HeldFile(path)
+    path.rename(tmp_path / "moved.sqlite")
+    assert not held.went_back()
+    assert not path.exists()
+    held.close()
