@@ -2,7 +2,8 @@
 
 What says where a table begins and which pages it has may be gone, as with the first page. So a copy of the file
 gets a sound first page, and one page after another is put where the table begins: SQLite reads it as all there is,
-with what a row has on further pages, where they are (2026-11). SQLite's own ``.recover`` is a program beside the
+with what a row has on further pages, where they are (2026-11). What a log held is in the file by then: SQLite
+brings it in as the connection closes that found the damage. SQLite's own ``.recover`` is a program beside the
 library, which Python's does not have.
 """
 
@@ -16,14 +17,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from daq.store.buffer_file import TABLES, Row, opened
-from daq.store.file_rescue import LOGS, remove_trial
+from daq.store.file_rescue import remove_trial
 
 _LISTS_ROWS = 13
 """What a page of a table's rows begins with. https://www.sqlite.org/fileformat2.html#b_tree_pages"""
-_MODES, _CHANGES, _PAGES, _CHANGES_THEN = slice(18, 20), slice(24, 28), slice(28, 32), slice(92, 96)
-"""Where the first page has whether there is a log, the count of changes, the number of pages, and at which count
-of changes that was so. https://www.sqlite.org/fileformat2.html#the_database_header"""
-_WITHOUT_LOG, _WITH_LOG = b"\1\1", b"\2\2"
+_CHANGES, _PAGES, _CHANGES_THEN = slice(24, 28), slice(28, 32), slice(92, 96)
+"""Where the first page has the count of changes, the number of pages, and at which count of changes that was so.
+https://www.sqlite.org/fileformat2.html#the_database_header"""
 
 
 def salvaged(path: Path, alive: Callable[[], None]) -> tuple[dict[int, str], dict[int, dict[str, Any]]]:
@@ -60,12 +60,9 @@ def _rows(path: Path, copy: Path, alive: Callable[[], None]) -> Iterator[Row]:
         (size,) = made.execute("PRAGMA page_size").fetchone()
         first = bytearray(made.serialize()[:size])
     with copy.open("w+b", buffering=0) as file:
-        first[_MODES] = _WITH_LOG
         for number, page in enumerate(_pages(path, size), 1):
             file.write(first if number == 1 else page)
             alive()
-    _bring_in_log(path, copy)
-    first[_MODES] = _WITHOUT_LOG
     with copy.open("r+b", buffering=0) as file, closing(sqlite3.connect(copy, isolation_level=None)) as connection:
         pages = file.seek(0, 2) // size
         first[_PAGES] = pages.to_bytes(4, "big")
@@ -93,17 +90,6 @@ def _pages(path: Path, size: int) -> Iterator[bytes]:
                 file.seek(at)
                 page = file.read(size)
             yield page.ljust(size, b"\0")
-
-
-def _bring_in_log(path: Path, copy: Path) -> None:
-    """Have SQLite write what the file's log holds into the copy, as far as the log is sound."""
-    log, beside = Path(f"{path}{LOGS[0]}"), Path(f"{copy}{LOGS[0]}")
-    with suppress(OSError, sqlite3.Error):
-        beside.write_bytes(log.read_bytes())
-        with closing(sqlite3.connect(copy)) as connection:
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    for ending in LOGS:
-        Path(f"{copy}{ending}").unlink(missing_ok=True)
 
 
 def _put(file: IO[bytes], number: int, page: bytes | bytearray) -> None:
