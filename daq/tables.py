@@ -304,9 +304,9 @@ _KINDS = {
     "model_type": "key-no-table",
     "dict_type": "key-no-table",
     "tuple_type": "key-no-list",
-    "datetime_type": "key-no-day",
-    "datetime_parsing": "key-no-day",
-    "datetime_from_date_parsing": "key-no-day",
+    "datetime_type": "key-no-instant",
+    "datetime_parsing": "key-no-instant",
+    "datetime_from_date_parsing": "key-no-instant",
 }
 """What pydantic finds wrong, by its own name, to the code of ours; anything else keeps its English."""
 

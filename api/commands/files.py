@@ -99,6 +99,16 @@ def _refuse_taken(store: Store, run: Run) -> None:
         raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
 
 
+def beginning_of(day: str) -> datetime:
+    """Return when a day begins in UTC, in which lists give when runs began. Raises `ValueError`."""
+    try:
+        if not day.isascii():
+            raise ValueError(day)
+        return datetime.strptime(day, "%Y-%m-%d").replace(tzinfo=UTC)
+    except ValueError as error:
+        raise ValueError(say("key-no-day")) from error
+
+
 @dataclass(frozen=True)
 class ExportOptions:
     """What `export` is called with."""
@@ -115,8 +125,12 @@ class ExportOptions:
         str | None, typer.Option("--press", metavar="NAME", help="help-list-press", autocompletion=stored_presses)
     ] = None
     material: Annotated[str | None, typer.Option("--material", metavar="NAME", help="help-list-material")] = None
-    since: Annotated[datetime | None, typer.Option("--from", metavar="DAY", help="help-list-from")] = None
-    until: Annotated[datetime | None, typer.Option("--to", metavar="DAY", help="help-list-to")] = None
+    since: Annotated[
+        datetime | None, typer.Option("--from", metavar="DAY", parser=beginning_of, help="help-list-from")
+    ] = None
+    until: Annotated[
+        datetime | None, typer.Option("--to", metavar="DAY", parser=beginning_of, help="help-list-to")
+    ] = None
     store: StoreUrl = None
     config: ConfigFile = None
 
@@ -130,8 +144,8 @@ def export_runs(options: ExportOptions) -> None:
     chosen = {
         "press": options.press,
         "material": options.material,
-        "since": _utc(options.since),
-        "until": _utc(options.until),
+        "since": options.since,
+        "until": options.until,
     }
     if options.runs and any(chosen.values()):
         raise InputError(say("terminal-list-alone"))
@@ -186,11 +200,6 @@ def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
             raise InputError(say("terminal-folder-for-several", path=str(out)))
         out.mkdir()
     return {out / f"{run}.{kind}": run for run in runs}
-
-
-def _utc(day: datetime | None) -> datetime | None:
-    """Return a day given without a zone as it begins in UTC, in which lists give when runs began."""
-    return day and day.replace(tzinfo=UTC)
 
 
 def _list_runs(store: Store, chosen: Mapping[str, Any]) -> None:

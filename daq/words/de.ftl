@@ -37,6 +37,7 @@ key-empty = ist leer; mindestens einen Eintrag angeben
 key-missing = fehlt; bitte ergänzen
 key-no-bool = muss true oder false sein
 key-no-day = muss ein Tag sein, Jahr-Monat-Tag, etwa 2026-03-04
+key-no-instant = muss ein Zeitpunkt sein, etwa 2026-03-04T07:00:00Z
 key-no-list = muss eine Liste in Klammern sein
 key-no-number = muss eine gültige Zahl sein
 key-no-table = muss eine Tabelle sein

@@ -37,6 +37,7 @@ key-empty = is empty; give at least one
 key-missing = is missing; add it
 key-no-bool = must be true or false
 key-no-day = must be a day, year-month-day, such as 2026-03-04
+key-no-instant = must be an instant, such as 2026-03-04T07:00:00Z
 key-no-list = must be a list in brackets
 key-no-number = must be a valid number
 key-no-table = must be a table

@@ -484,6 +484,10 @@ def test_stored_runs_are_listed_under_heads_and_chosen_by_press_material_and_day
     assert "choose what is listed" in capsys.readouterr().err
 
 
+NO_DAYS = ["nope", "04.03.2026", "2026-13-01", "2026-02-30", "2026-03-04 25:00", "20260304", "2026", "", "-1"]
+NO_DAYS += ["2026-03-04T07:00:00+01:00"]
+
+
 @pytest.mark.parametrize(
     ("language", "says"),
     [
@@ -492,7 +496,7 @@ def test_stored_runs_are_listed_under_heads_and_chosen_by_press_material_and_day
     ],
 )
 @pytest.mark.parametrize("option", ["--from", "--to"])
-@pytest.mark.parametrize("given", ["nope", "04.03.2026", "2026-13-01", "2026-02-30", "2026-03-04 25:00"])
+@pytest.mark.parametrize("given", NO_DAYS)
 def test_a_day_that_is_none_is_refused_in_our_own_words(capsys, monkeypatch, option, given, language, says):
     monkeypatch.setenv("KERNTEMP_LANGUAGE", language)
     assert main(["export", option, given]) == 2
