@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from api.commands.inputs import ConfigFile, config_path
-from api.commands.services import log_to_stderr, token_file_beside
+from api.commands.services import log_to_stderr, token_file
 from daq.records import InputError
 from daq.words import say
 
 
 def publish(config: ConfigFile = None) -> None:
     """Feed an MQTT broker ([mqtt]) and run an OPC UA server ([opcua]), without end."""
-    from api.http.tokens import TokenFile
     from daq.process.config import load_config
 
     path = config_path(config)
@@ -25,4 +24,4 @@ def publish(config: ConfigFile = None) -> None:
     except ModuleNotFoundError as error:
         raise InputError(say("terminal-needs-package", package=str(error.name))) from error
     log_to_stderr()
-    run(settings, TokenFile(settings.server.tokens or token_file_beside(path)))
+    run(settings, token_file(settings.server, path))

@@ -67,7 +67,6 @@ def serve(
     from api.alarms.watch import watching
     from api.alarms.ways import ways_of
     from api.http.server import Listening, address_of, make_server, run_server
-    from api.http.tokens import TokenFile
     from daq.process.config import ServerSettings, load_config
     from daq.process.stopping import outlive_hangup
     from daq.store.records import StoreUnavailable
@@ -78,7 +77,7 @@ def serve(
     path = Path(CONFIG_NAME) if store is not None and config is None else config_path(config)
     settings = load_config(path) if path.is_file() else None
     server = settings.server if settings else ServerSettings()
-    tokens = TokenFile(server.tokens or token_file_beside(path))
+    tokens = token_file(server, path)
     listening = Listening(host or server.host, server.port if port is None else port, certificate, key)
     listening.check(tokens)
     address = store or (settings.store.url if settings else "")
@@ -218,19 +217,20 @@ def _roll_back(settings: Config, press: str) -> None:
     write_line(say("terminal-model-in-force-again", press=name, version=version))
 
 
-def token_file_beside(config: Path) -> Path:
-    """Return where tokens are kept when the configuration does not say."""
-    return config.resolve().parent / "kerntemp-tokens.json"
-
-
-def token_file(config: Path | None) -> tuple[TokenFile, Config]:
-    """Return where the tokens of a configuration are kept, and the configuration."""
+def token_file(server: ServerSettings, config: Path) -> TokenFile:
+    """Return where tokens are kept: beside the configuration where that names no file."""
     from api.http.tokens import TokenFile
+
+    return TokenFile(server.tokens or config.resolve().parent / "kerntemp-tokens.json")
+
+
+def _configured_tokens(config: Path | None) -> tuple[TokenFile, Config]:
+    """Return where the tokens of a configuration are kept, and the configuration."""
     from daq.process.config import load_config
 
     path = config_path(config)
     settings = load_config(path)
-    return TokenFile(settings.server.tokens or token_file_beside(path)), settings
+    return token_file(settings.server, path), settings
 
 
 def tokens_to_revoke(context: typer.Context, incomplete: str) -> list[str]:
@@ -238,7 +238,7 @@ def tokens_to_revoke(context: typer.Context, incomplete: str) -> list[str]:
     if context.params.get("action") != "revoke":
         return []
     try:
-        tokens, _ = token_file(context.params.get("config"))
+        tokens, _ = _configured_tokens(context.params.get("config"))
         return [kept.name for kept in tokens.tokens() if kept.name.startswith(incomplete)]
     except InputError:
         return []
@@ -255,7 +255,7 @@ def token(
     config: ConfigFile = None,
 ) -> None:
     """Make, list and revoke access tokens; a new one is shown once."""
-    tokens, settings = token_file(config)
+    tokens, settings = _configured_tokens(config)
     if action == "list":
         heads = [say(f"terminal-list-{head}") for head in ("token", "scope", "created", "name")]
         write_table(heads, ((kept.id, kept.scope, str(kept.created_utc), kept.name) for kept in tokens.tokens()))
