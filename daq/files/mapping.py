@@ -69,11 +69,9 @@ _DELIMITERS = {"tab": "\t", "space": " "}
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
 _DAY_S = 86400.0
 """By definition; a clock that jumps back by more than half of it has passed midnight. [s]"""
-_LATE_STEPS = 10.0
-"""What lies further back than so many of a file's own steps is no row that came late: with one a second a pause is
-read wrong where it lasts the hour but for 10 s. Set by hand, 2026-11."""
-_STEPS = 9
-"""Whose median is a file's own step: a pause or two do not count. Set by hand, 2026-11."""
+_LATE_STEPS = 10
+"""What lies further back than so many of a file's own steps is no row that came late: with one a second a pause
+is read wrong where it lasts the hour but for 10 s. Its own step is the median of as many. By hand, 2026-11."""
 
 
 class _MappingTable(BaseModel):
@@ -359,7 +357,7 @@ def _rows_in_order(path: Path, rows: Iterator[_Row], names: _Row, mapped: Mapped
     """Yield the rows with their times, which rise."""
     places = [names.cells.index(column) for column in mapped.time.columns]
     start, days, before = math.nan, 0.0, -math.inf
-    steps: deque[float] = deque(maxlen=_STEPS)
+    steps: deque[float] = deque(maxlen=_LATE_STEPS)
     clock, instants = mapped.time.format == "clock", mapped.time.format not in _SECONDS
     for row in rows:
         cell = " ".join(row.cells[place] for place in places)

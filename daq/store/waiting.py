@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 
 from daq.address import Address
 from daq.records import InputError
+from daq.store.alarms import NOTED_S
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store, open_store
 from daq.supervision import unexpected
@@ -17,7 +18,7 @@ from daq.words import Message, say, spoken
 
 RETRY_S = 2.0
 """How often a store that is away is tried. Set by hand, 2026-11. [s]"""
-REPEATED_S = 3600.0
+REPEATED_S = NOTED_S
 """A process that ends in the same way within this time of its last alarm gives none: begun again every 5 s, it
 would send twelve mails a minute. Set by hand, 2026-11. [s]"""
 
