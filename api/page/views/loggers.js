@@ -1,7 +1,7 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
 import { again, get } from "../api.js";
 import { standing } from "../channels.js";
-import { bytes, clock, duration, el, number, reading, table } from "../dom.js";
+import { bytes, clock, clockToday, duration, el, number, reading, table } from "../dom.js";
 import { has, inWords, text } from "../words.js";
 
 export async function show(place) {
