@@ -311,6 +311,8 @@ def test_metrics_speak_prometheus(client, store):
         ("/api/v1/runs?limit=0", 422, "limit"),
         ("/api/v1/runs?cursor=abc", 422, "cursor"),
         ("/api/v1/runs?from=2026-03-04T07:00:00", 422, "no time zone"),
+        ("/api/v1/runs?from=2026", 422, "must be an instant, such as 2026-03-04T07:00:00Z"),
+        ("/api/v1/runs?to=20260304", 422, "must be an instant, such as 2026-03-04T07:00:00Z"),
         ("/api/v1/runs?from=2026-03-04T25:00:00Z", 422, "must be an instant, such as 2026-03-04T07:00:00Z"),
         ("/api/v1/runs?status=gone", 422, "status"),
         (f"{RUN}/samples?format=xml", 422, "format"),

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Query, Request
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from api.http.gate import token_of
 from api.http.problems import ProblemError
@@ -97,8 +97,20 @@ Cursor = Annotated[
     Query(description="`next_cursor` of the page before; empty for the first.", pattern="^[0-9]{0,18}$"),
     AfterValidator(lambda cursor: cursor or None),
 ]
-Since = Annotated[datetime | None, Query(alias="from", description="Started at or after this instant.")]
-Until = Annotated[datetime | None, Query(alias="to", description="Started before this instant.")]
+
+
+def _no_number(value: str) -> str:
+    """Refuse a number, such as a year or a day without hyphens: pydantic takes it for seconds since 1970."""
+    try:
+        float(value)
+    except ValueError:
+        return value
+    raise ValueError(say("key-no-instant"))
+
+
+Instant = Annotated[datetime, BeforeValidator(_no_number)]
+Since = Annotated[Instant | None, Query(alias="from", description="Started at or after this instant.")]
+Until = Annotated[Instant | None, Query(alias="to", description="Started before this instant.")]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request
@@ -18,7 +18,7 @@ from api.answers.schemas import AdviceList, AdviceNow, Blisters, ChannelList, Ex
 from api.answers.words import message_answer
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressesDep, ResinsDep, StoreDep, existing_press, zoned
+from api.http.routes.common import Instant, PressesDep, ResinsDep, StoreDep, existing_press, zoned
 from daq.press.resin_file import read_resin
 from daq.words import say
 
@@ -83,8 +83,8 @@ def list_channels(store: StoreDep, presses: PressesDep) -> ChannelList:
 def get_scans(
     store: StoreDep,
     press: Annotated[str, Query(description="Of this press.", max_length=200)],
-    since: Annotated[datetime, Query(alias="from", description="At or after this instant.")],
-    until: Annotated[datetime, Query(alias="to", description="Before this instant, at most 25 h later.")],
+    since: Annotated[Instant, Query(alias="from", description="At or after this instant.")],
+    until: Annotated[Instant, Query(alias="to", description="Before this instant, at most 25 h later.")],
     points: Annotated[int, Query(ge=1, le=2000, description="Steps the time is cut into.")] = 600,
 ) -> Scans:
     """Return each channel's lowest and highest value in steps of equal length: no peak is lost.
