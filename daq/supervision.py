@@ -200,14 +200,16 @@ class SupervisedThread:
 
 
 class StandstillAlarm:
-    """Journals that something stands still, once while it does, in a thread: it may wait for the journal."""
+    """Journals that steps stand still, once while they do, in a thread: they may wait for the journal."""
 
-    def __init__(self, journal: Callable[[Message], None]) -> None:
-        self._journal, self._stands = journal, False
+    def __init__(self, steps: Steps, journal: Callable[[Message], None]) -> None:
+        self._steps, self._journal, self._stands = steps, journal, False
 
-    def report(self, why: Message | None) -> None:
-        """Take why something stands still now, None where nothing does."""
+    def stalled(self) -> Message | None:
+        """Return that a step does not come to its end, and journal it; None while it may still."""
+        why = self._steps.stalled()
         if why is not None and not self._stands:
             LOG.error("%s", why)
             SupervisedThread("stalled", lambda: self._journal(why), lambda fault: None).start()
         self._stands = why is not None
+        return why

@@ -78,7 +78,7 @@ class _AlarmWatch:
         self._store, self._ways, self._clock, self._began = store, ways, clock, clock()
         self._stop = threading.Event()
         looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
-        self._standstill = StandstillAlarm(self._journal)
+        self._standstills = [StandstillAlarm(steps, self._journal) for steps in (looking, sending)]
         self._threads = [
             SupervisedThread(looking.name, lambda: self._every(LOOK_S, self._look), self._journal, looking),
             SupervisedThread(sending.name, lambda: self._every(SEND_S, self._send), self._journal, sending),
@@ -94,10 +94,9 @@ class _AlarmWatch:
             thread.join(5.0)
 
     def stalled(self) -> Message | None:
-        """Return why one of the two stands still, or None; it is journalled once."""
-        why = self._looking.stalled() or self._sending.stalled()
-        self._standstill.report(why)
-        return why
+        """Return why one of the two stands still, or None; of each it is journalled once."""
+        found = [standstill.stalled() for standstill in self._standstills]
+        return next((why for why in found if why is not None), None)
 
     def _look(self) -> None:
         now = self._clock()

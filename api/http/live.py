@@ -53,7 +53,7 @@ class Hub:
         self._task: asyncio.Task[None] | None = None
         self._steps = Steps("live events")
         self._faults = Faults(self._steps.name, self._journal)
-        self._standstill = StandstillAlarm(self._journal)
+        self._standstill = StandstillAlarm(self._steps, self._journal)
         self._lock = asyncio.Lock()
         self._closed = False
 
@@ -64,8 +64,7 @@ class Hub:
 
     def stalled(self) -> Message | None:
         """Return why nobody gets events now; None while they come, or the store is away."""
-        why = self._steps.stalled()
-        self._standstill.report(why)
+        why = self._standstill.stalled()
         return self._faults.newest or why
 
     async def join(self, last_event_id: str) -> Listener | None:

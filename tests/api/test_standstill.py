@@ -339,6 +339,26 @@ def test_two_that_stand_still_at_once_are_two_alarms(stored, tmp_path, monkeypat
         stream.close()
 
 
+@pytest.mark.usefixtures("beats")
+def test_alarms_neither_looked_for_nor_sent_are_an_alarm_each(stored, tmp_path, monkeypatch):
+    (way,) = ways_of(None, hook(tmp_path, free_port()), "store")
+
+    def journalled():
+        messages = [e.message for e in stored.journal(level="alarm").items]
+        return [m.arguments["thread"] for m in messages if m.code == "thread-stalled"]
+
+    with (
+        standing(monkeypatch, Store, "watch_alarms") as (_, free),
+        standing(monkeypatch, Store, "take_delivery") as (_, free_too),
+        watching(stored, [way]) as stalled,
+    ):
+        wait_until(lambda: stalled() and set(journalled()) == {"alarms", "deliveries"}, journalled)
+        free.set()
+        free_too.set()
+        wait_until(lambda: stalled() is None)
+    assert len(journalled()) == 2
+
+
 def config_of(folder, stored):
     """Write a configuration of every process over a store."""
     shutil.copy(LAB_FILE, folder / "lab.toml")
