@@ -172,10 +172,19 @@ export class TimeChart {
   }
 
   // Phases wide enough for their name: {label, from, width}, in pixels of the canvas.
+  // Height of the letters within the chart, in pixels of the canvas.
+  get letter() {
+    return 11 * this.larger * devicePixelRatio;
+  }
+
+  get markFont() {
+    return `600 ${this.letter}px system-ui, sans-serif`;
+  }
+
   namedPhases(plot) {
     const { ctx, bbox } = plot;
     ctx.save();
-    ctx.font = `${11 * this.larger * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.font = `${this.letter}px system-ui, sans-serif`;
     const named = this.phases.filter(({ state }) => state !== "idle").map((phase) => {
       const label = text(`page-state-${phase.state}`);
       const from = Math.max(plot.valToPos(phase.from_s, "x", true), bbox.left);
@@ -189,7 +198,7 @@ export class TimeChart {
   // Above grid and curves, on a patch of the card's colour.
   name(plot) {
     const { ctx, bbox } = plot;
-    const size = 11 * this.larger * devicePixelRatio;
+    const size = this.letter;
     ctx.save();
     ctx.font = `${size}px system-ui, sans-serif`;
     ctx.textAlign = "left";
@@ -207,12 +216,11 @@ export class TimeChart {
   // phase's name has its word below.
   mark(plot) {
     const { ctx, bbox } = plot;
-    const size = 11 * this.larger * devicePixelRatio;
     ctx.save();
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
-    ctx.font = `600 ${size}px system-ui, sans-serif`;
+    ctx.font = this.markFont;
     ctx.textBaseline = "bottom";
     ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
     ctx.lineWidth = 1.5 * devicePixelRatio;
@@ -230,12 +238,13 @@ export class TimeChart {
 
   // Where the marks stand, in pixels of the canvas: {name, colour, line: [from, to], at, align}, `at` below the word.
   placedMarks(plot) {
+    if (!this.marks.length) return [];
     const { ctx, bbox } = plot;
-    const ratio = devicePixelRatio, size = 11 * this.larger * ratio;
+    const ratio = devicePixelRatio, size = this.letter;
     const bottom = bbox.top + bbox.height, end = bbox.left + bbox.width;
     const named = this.namedPhases(plot), head = bbox.top + size + 8 * ratio; // where their names end
     ctx.save();
-    ctx.font = `600 ${size}px system-ui, sans-serif`;
+    ctx.font = this.markFont;
     const placed = this.marks.map(({ name, colour, x, y }) => {
       if (y === undefined) {
         const at = plot.valToPos(x, "x", true);

@@ -60,6 +60,9 @@ export function clock(utc, withDate = true) {
 // With the date where that is not today's.
 export const clockToday = (utc) => clock(utc, new Date(utc).toDateString() !== new Date().toDateString());
 
+// When what is shown was true.
+export const asOf = (utc) => text("page-chart-as-of", { time: clockToday(utc) });
+
 // When a run was; a file need not say it.
 export const began = (utc) => (utc ? clock(utc) : text("page-date-unknown"));
 

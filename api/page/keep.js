@@ -1,5 +1,5 @@
 // What stands behind a chart: its numbers as a table, and the chart to take away as CSV, SVG or PNG.
-import { clockToday, el, number, table } from "./dom.js";
+import { asOf, el, number, table } from "./dom.js";
 import { legendOf, nameAt, signOf } from "./legend.js";
 import { style, svgOf } from "./svg.js";
 import { text } from "./words.js";
@@ -16,7 +16,7 @@ export function drawer(chart) {
   function report() {
     const row = box.open && place.querySelector(".row");
     if (!row || row.querySelector(".newer")) return;
-    row.append(el("span", { class: "small newer" }, text("page-chart-as-of", { time: clockToday(row.dataset.made) })),
+    row.append(el("span", { class: "small newer" }, asOf(row.dataset.made)),
       el("button", { type: "button", class: "button", onclick: fill }, text("page-chart-newer")));
   }
   return box;

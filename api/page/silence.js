@@ -1,5 +1,4 @@
 // A press of which no reading comes: which alarms are about that, so that one sentence holds all of it.
-import { clockToday } from "./dom.js";
 import { text } from "./words.js";
 
 // The recorders that serve a press; before any names its presses, each may be the one.
@@ -22,6 +21,3 @@ export function causeOf(health, press, link) {
   const said = link !== "lost" && health?.alarms_said.find((one) => ofRecorder(one, health, press));
   return said ? text("page-no-sign-of-life", said.arguments) : "";
 }
-
-// When what is shown was true.
-export const asOf = (utc) => text("page-chart-as-of", { time: clockToday(utc) });

@@ -13,8 +13,9 @@ export function svgOf(chart, gap) {
   const [width, height] = [plot.over.clientWidth, plot.over.clientHeight];
   const x = (value) => round(left + plot.valToPos(value, "x"));
   const y = (value) => round(top + plot.valToPos(value, "y"));
+  const letter = chart.letter / devicePixelRatio;
   const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap, top, height })),
-    ...chart.namedPhases(plot).map((phase) => nameOf(phase, 11 * chart.larger, top)), ...chart.placedMarks(plot).map((one) => mark(one, 11 * chart.larger))].join("");
+    ...chart.namedPhases(plot).map((phase) => nameOf(phase, letter, top)), ...chart.placedMarks(plot).map((one) => mark(one, letter))].join("");
   const legend = legendOf(chart, plot.width);
   const all = Math.ceil(plot.height + legend.height);
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${all}" viewBox="0 0 ${plot.width} ${all}" font-family="system-ui, sans-serif" font-size="12">`

@@ -1,7 +1,7 @@
 // What now and wall view share: the core with its band, the one answer, and the chart of the core with what is foreseen.
 import { TimeChart, key } from "../charts.js";
-import { duration, el, number } from "../dom.js";
-import { asOf, causeOf } from "../silence.js";
+import { asOf, duration, el, number } from "../dom.js";
+import { causeOf } from "../silence.js";
 import { inWords, text } from "../words.js";
 
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
