@@ -407,9 +407,8 @@ def _instant(local: datetime, before: float, steps: Collection[float]) -> float:
     """
     first_s, again_s = local.timestamp(), local.replace(fold=1).timestamp()
     back_s, ahead_s = before - first_s, again_s - before
-    if (
-        again_s <= first_s or back_s < 0.0
-    ):  # not the hour that comes twice when clocks are set back, or still its first
+    comes_twice = again_s > first_s  # as an hour does when clocks are set back
+    if not comes_twice or back_s < 0.0:
         return first_s
     few_s = _LATE_STEPS * statistics.median(steps) if steps else 0.0
     return first_s if back_s <= few_s and back_s < ahead_s else again_s

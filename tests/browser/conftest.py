@@ -31,6 +31,16 @@ expect.set_options(timeout=PATIENT_MS)
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "chromium-browser"))), None)
 """The shell without windows does the same pages with less: 14.3 s of processor time over seven tests, 23.7 s with
 the whole browser (2026-11-27)."""
+NOTIFICATIONS = """
+window.notified = [];
+window.Notification = class {
+  static permission = "granted";
+  static requestPermission() { return Promise.resolve("granted"); }
+  constructor(title, options) { window.notified.push(options.body); }
+  close() { window.notified.push("closed"); }
+};
+"""
+"""In a page before its own scripts: notifications are allowed, and what they are is kept."""
 FLAGS = [
     "--no-sandbox",
     "--disable-gpu",

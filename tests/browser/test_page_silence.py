@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 
 from api.http.tokens import TokenFile
 from daq.words import say
-from tests.browser.conftest import CHANNELS, LAB
+from tests.browser.conftest import CHANNELS, LAB, NOTIFICATIONS
 
 TOLD = re.compile(r"(?:no|new) (?:new )?reading|no scan|silent|sign of life", re.IGNORECASE)
 """A sentence that says of a silence that it is one."""
@@ -194,20 +194,16 @@ def test_many_alarms_leave_the_screen_to_what_they_are_about(served, browser, tm
     heart.join()
 
 
-ANNOUNCED = """
-window.notified = [];
-window.Notification = class {
-  static permission = "granted";
-  static requestPermission() { return Promise.resolve("granted"); }
-  constructor(title, options) { window.notified.push(options.body); }
-  close() { window.notified.push("closed"); }
-};
+ANNOUNCED = (
+    NOTIFICATIONS
+    + """
 window.tones = 0;
 window.OscillatorNode = class extends window.OscillatorNode {
   start(...at) { window.tones += 1; return super.start(...at); }
 };
 for (const way of ["sound", "notification"]) localStorage.setItem(`kerntemp-alarm-${way}`, "on");
 """
+)
 
 
 def test_of_two_tabs_one_gives_the_sound_and_the_notification_and_both_show_who_took_the_alarm_on(served, browser):

@@ -22,7 +22,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.store import StoredNight
 from daq.words import Message, say
 from daq.words.message import words
-from tests.browser.conftest import ACROSS, CHANNELS, PATIENT_MS, comes
+from tests.browser.conftest import ACROSS, CHANNELS, NOTIFICATIONS, PATIENT_MS, comes
 from tests.curves import CURVES
 
 VIEWS = (
@@ -676,17 +676,14 @@ def test_the_journal_read_to_its_end_holds_every_line_once(served, browser):
     page.close()
 
 
-NOTIFIED = """
-window.told = [];
-window.Notification = class {
-  static permission = "granted";
-  static requestPermission() { return Promise.resolve("granted"); }
-  constructor(title, options) { window.told.push(options.body); }
-};
+ANNOUNCED = (
+    NOTIFICATIONS
+    + """
 window.AudioContext = class extends window.AudioContext {
   constructor() { super(); window.rung = (window.rung ?? 0) + 1; }
 };
 """
+)
 
 
 @pytest.mark.parametrize(
@@ -704,7 +701,7 @@ def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
     feed = served[1]
     context = browser.new_context(locale=language, viewport={"width": 1280, "height": 900}, bypass_csp=True)
     page = context.new_page()
-    page.add_init_script(NOTIFIED)
+    page.add_init_script(ANNOUNCED)
     with_token(page, token)
     page.goto(address + "#/alarms")
     limits = page.get_by_test_id("alarm-limits")
@@ -723,11 +720,11 @@ def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
     writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
     writer.start()
     row = page.get_by_test_id("alarms").get_by_role("row", name=text)
-    page.wait_for_function(f"window.told.some((one) => one.includes({text!r}))")
+    page.wait_for_function(f"window.notified.some((one) => one.includes({text!r}))")
     row.get_by_role("button", name=take).click()
     expect(row).to_contain_text("foreman")
     page.wait_for_function("window.rung > 0")
-    assert page.evaluate("[window.told.filter((one) => one.includes('40')).length, window.rung]") == [1, 1]
+    assert page.evaluate("[window.notified.filter((one) => one.includes('40')).length, window.rung]") == [1, 1]
     page.screenshot(path=tmp_path / "alarms.png")
     feed.stop.set()
     writer.join(240)

@@ -330,9 +330,7 @@ def test_of_a_buffer_whose_first_or_root_page_is_destroyed_all_that_was_not_deli
 
 def test_rows_in_the_log_that_a_kill_left_are_salvaged_too(tmp_path):
     texts = [f"{n} {'x' * 900}" for n in range(59)]
-    path, _, alarms = full_of(
-        tmp_path, texts[:58]
-    )  # one more finds room in their last page, and the first is not in the log
+    path, _, alarms = full_of(tmp_path, texts[:58])  # whose last page has room for one more, outside of the log
     killed = tmp_path / "killed.sqlite"
     Buffer(tmp_path / "late.sqlite").append(entries(texts[58:]))
     with closing(sqlite3.connect(tmp_path / "late.sqlite")) as connection:

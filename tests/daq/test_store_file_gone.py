@@ -268,31 +268,32 @@ connection.close()
 """
 
 
+def assert_keeps_its_log(store, key, path):
+    """Another process that leaves the file does not take the log from under a store that writes."""
+    log = path.with_name(path.name + "-wal")
+    before = log.stat().st_ino
+    subprocess.run([sys.executable, "-c", _ANOTHER, str(path)], check=True)
+    store.append_scans(key, batch(key, 0).scans)
+    assert log.stat().st_ino == before
+
+
 def test_another_process_that_leaves_the_file_does_not_take_the_log_from_under_the_writer(tmp_path):
     path = tmp_path / "s.sqlite"
-    log = path.with_name(path.name + "-wal")
     with open_store(str(path)) as store:
         key = store.register_press("lab", CHANNELS)
         store.database.hold_on()
         assert not store.database.moved
-        before = log.stat().st_ino
-        subprocess.run([sys.executable, "-c", _ANOTHER, str(path)], check=True)
-        store.append_scans(key, batch(key, 0).scans)
-        assert log.stat().st_ino == before
+        assert_keeps_its_log(store, key, path)
 
 
 def test_a_store_closed_beside_another_on_the_same_file_leaves_that_its_log(tmp_path):
     path = tmp_path / "s.sqlite"
-    log = path.with_name(path.name + "-wal")
     with open_store(str(path)) as store:
         key = store.register_press("lab", CHANNELS)
         with open_store(str(path)) as other:
             other.database.hold_on()
             assert not other.database.moved
-        before = log.stat().st_ino
-        subprocess.run([sys.executable, "-c", _ANOTHER, str(path)], check=True)
-        store.append_scans(key, batch(key, 0).scans)
-        assert log.stat().st_ino == before
+        assert_keeps_its_log(store, key, path)
         with closing(sqlite3.connect(path)) as connection:
             assert connection.execute("SELECT count(*) FROM scan").fetchone() == (1,)
 
