@@ -142,7 +142,7 @@ def test_what_is_of_another_day_says_of_which(silent):
     server, _, page = silent
     page.goto(server.url + "#/now")
     expect(page.locator(".as-of")).to_have_text(re.compile(r"^as of \d+/\d+/\d+, \d"))
-    says = "async (utc) => (await import('./static/silence.js')).asOf(utc)"
+    says = "async (utc) => (await import('./static/dom.js')).asOf(utc)"
     today = page.evaluate("new Date().toISOString()")
     assert re.fullmatch(r"as of \d+:\d+:\d+.*", page.evaluate(says, today))
 
