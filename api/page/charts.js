@@ -171,7 +171,6 @@ export class TimeChart {
     });
   }
 
-  // Phases wide enough for their name: {label, from, width}, in pixels of the canvas.
   // Height of the letters within the chart, in pixels of the canvas.
   get letter() {
     return 11 * this.larger * devicePixelRatio;
@@ -181,6 +180,7 @@ export class TimeChart {
     return `600 ${this.letter}px system-ui, sans-serif`;
   }
 
+  // Phases wide enough for their name: {label, from, width}, in pixels of the canvas.
   namedPhases(plot) {
     const { ctx, bbox } = plot;
     ctx.save();
