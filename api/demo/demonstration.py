@@ -13,7 +13,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -192,10 +192,10 @@ class _Demo:
             self._begin_night()
 
     def _begin_night(self) -> None:
-        self.show(say("demo-night"))
         self._judged = len(self.findings)
         command = [*KERNTEMP, "refit", "--config", str(self.config)]
         self._night = self.children.start("refit", command, stdout=subprocess.DEVNULL)
+        self.show(say("demo-night"))
 
     def _end_night(self) -> None:
         """Wait for the nightly job. Raises `WorkFailed` where it failed."""
@@ -266,11 +266,15 @@ class _Demo:
         return self.truth.cycle(max(self._virtual(record) + (at_s if at_s == at_s else 0.0), 0.0))
 
     def finish(self) -> None:
-        """Let the nightly job run where something is hidden, and say what came out."""
-        if self.plan.hide and not self._judged:
-            self._begin_night()
-        if self._diagnosis is None:
-            self._end_night()
+        """Let the nightly job run where something is hidden, and say what came out.
+
+        Ctrl-C ends the wait for it; where nothing is hidden nobody waits for it.
+        """
+        with suppress(KeyboardInterrupt):
+            if self.plan.hide and self._diagnosis is None:
+                self._judge()
+        if self._night is not None:
+            self.show(say("demo-night-left"))
         for line in summary_lines(self.findings, self.plan.hide, self._diagnosis):
             self.show(line)
         left_out, recorded = (now - then for now, then in zip(self._recorded(), self._before, strict=True))
@@ -279,6 +283,13 @@ class _Demo:
             self.show(line)
         if self.plan.hide:
             self._show_models()
+
+    def _judge(self) -> None:
+        if not self._judged:
+            self._begin_night()
+        if self._night is not None:
+            self.show(say("demo-night-awaited"))
+        self._end_night()
 
     def _show_models(self) -> None:
         """Say what the model in force gains by what was found, and why others are not in force."""

@@ -68,6 +68,36 @@ def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
     assert processes_mentioning(str(folder)) == 0
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals; on Windows Ctrl-Break does the same")
+def test_ctrl_c_while_the_nightly_job_is_awaited_ends_the_demonstration_with_its_summary(tmp_path):
+    folder = tmp_path / "demo"
+    command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--pressings", "1", "--hide", "edge_loss"]
+    with subprocess.Popen([*command, "--data", str(folder)], stdout=subprocess.PIPE, text=True) as running:
+        assert any("Ctrl-C ends the demonstration without" in line for line in running.stdout)
+        running.send_signal(signal.SIGINT)
+        rest = running.stdout.read()
+        assert running.wait() == 0, rest
+    assert "The nightly job was under way and is ended with the demonstration." in rest
+    assert "Summary of 1 pressing " in rest
+    assert f"Kept in {folder}" in rest
+    assert processes_mentioning(str(folder)) == 0
+
+
+def test_where_nothing_is_hidden_nobody_waits_for_a_nightly_job_under_way(tmp_path):
+    shown = []
+    with (
+        open_store(str(tmp_path / "kerntemp.sqlite")) as store,
+        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, text=True) as night,
+    ):
+        demo = _Demo(DemoPlan(), SimpleNamespace(), shown.append)
+        demo.store, demo._night, demo._before = store, night, (0, 0)
+        store.beat("record", {"state": "recording", "presses": [], "acknowledged": 0})
+        demo.finish()  # would never return
+        assert night.poll() is None
+    assert "is ended with the demonstration" in str(shown[0])
+    assert "Summary of 0 pressings" in "\n".join(map(str, shown))
+
+
 def test_a_pressing_fitted_late_on_a_busy_machine_can_still_be_held_against_the_truth():
     plan = DemoPlan(speed=30.0, pressings=1)
     truth = virtual_press_of({"hide": [], "keep": plan.known_cycles, "seed": plan.seed})
