@@ -15,7 +15,13 @@ CONTRACTS = TOOL["importlinter"]["contracts"]
 
 @pytest.mark.parametrize(
     "command",
-    [("ruff", "format", "--check", "."), ("ruff", "check", "."), ("mypy",), ("lint-imports", "--no-cache")],
+    [
+        ("ruff", "format", "--check", "."),
+        ("ruff", "check", "."),
+        ("mypy",),
+        ("lint-imports", "--no-cache"),
+        ("oxlint", "api/page"),
+    ],
     ids=lambda command: command[0] + "_" + "_".join(word.strip("-.") for word in command[1:]),
 )
 def test_the_gate_is_open(command):

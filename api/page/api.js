@@ -106,7 +106,7 @@ export function follow(handlers, onState) {
           const handler = handlers[event.name];
           if (handler) handler(JSON.parse(event.data));
         });
-      } catch (error) {
+      } catch {
         if (stopped) return;
       }
       onState("lost");

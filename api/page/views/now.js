@@ -205,7 +205,7 @@ class LivePress {
     const cause = causeOf(healthNow(), this.now.press, this.context.live);
     const [said, ago] = silent === Infinity ? [whySilent(silent), ""] : [text("page-stale-since", { time: clock(utc) }), ` (${text("page-ago", { time: duration(silent) })})`];
     const parts = [said, ago, cause && `. ${cause}`];
-    this.old.children.length || this.old.append(...parts.map((_, i) => el("span", { "aria-live": i === 1 ? "off" : null })));
+    if (!this.old.children.length) this.old.append(...parts.map((_, i) => el("span", { "aria-live": i === 1 ? "off" : null })));
     parts.forEach((part, i) => { if (this.old.children[i].textContent !== part) this.old.children[i].textContent = part; });
     this.showAnswer();
   }
