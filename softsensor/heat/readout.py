@@ -11,10 +11,11 @@ from daq.printed import on_screen
 from daq.records import Array
 from softsensor.heat import implicit_steps
 
-# Numbers without another source were set by hand, 2026-11.
-
 COARSE_STEP_S = 0.06
-"""Steps longer than this are read by cubics, shorter ones (around a switch) by straight lines. [s]"""
+"""Steps longer than this are read by cubics, shorter ones (around a switch) by straight lines. [s]
+
+Twice as long moves a face by 6 mK, half as long by 15 in a ramp, neither the core (`tests.calibration.steps`:
+three sample runs, seed 2026, 2026-11-29)."""
 
 
 @dataclass(frozen=True)
