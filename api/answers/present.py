@@ -50,6 +50,8 @@ class Present:
     """The newest, not valid where it is not of now; None before the first."""
     estimate_utc: datetime | None
     """Of its scan."""
+    before_silence: StoredEstimate | None = None
+    """The newest estimate as it counted at the newest scan, where nothing was read since."""
 
     @property
     def run(self) -> RunRecord | None:
@@ -78,14 +80,19 @@ def present_of(store: Store, press: str, now: datetime) -> Present:
     """Return how a press stands."""
     newest, events, channels, scan, found, estimated = store.standing(press)
     late = None if scan is None else _late(scan.utc, now)
-    state: State = "unknown"
-    if scan is not None and late is None:
+    stood: State = "unknown"
+    if scan is not None:
         reading = dict(zip((c.name for c in channels), scan.values, strict=True))
         left = newest is not None and left_inside(newest, reading)
-        state = "unknown" if left else state_of(events, newest)
+        stood = "unknown" if left else state_of(events, newest)
+    state: State = stood if late is None else "unknown"
     utc = None if estimated is None else estimated.utc
-    estimate = None if found is None else as_of_now(found, utc, state, newest, now, late)
-    return Present(scan, channels, newest, events, late, state, estimate, utc)
+    estimate, before = None, None
+    if found is not None:
+        estimate = as_of_now(found, utc, state, newest, now, late)
+    if found is not None and scan is not None and late is not None and late.reason is InvalidReason.NO_SCANS:
+        before = as_of_now(found, utc, stood, newest, scan.utc)
+    return Present(scan, channels, newest, events, late, state, estimate, utc, before)
 
 
 def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State:

@@ -18,6 +18,7 @@ from api.answers.schemas import (
     CoefficientPoint,
     DiagnosisRecord,
     EstimateNow,
+    LastCore,
     ModelSummary,
     ParameterWords,
     Phase,
@@ -241,9 +242,23 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
         channels=channels,
         faces=faces_now(channels if live else ()),
         estimate=estimate,
+        last_core=last_core_of(present),
         target=target_of(store, run, estimate),
         coefficients=coefficients_in_use(store, press, press_file),
         description=press_description(press_file),
+    )
+
+
+def last_core_of(present: Present) -> LastCore | None:
+    """Return the core when readings ended; None while they come, and where it was not known then."""
+    before, utc = present.before_silence, present.estimate_utc
+    if before is None or utc is None or not before.valid:
+        return None
+    return LastCore(
+        utc=utc,
+        core_C=before.core_celsius,
+        core_low_C=before.core_low_celsius,
+        core_high_C=before.core_high_celsius,
     )
 
 

@@ -273,6 +273,16 @@ class Faces(_Answer):
     bottom_C: float | None  # noqa: N815
 
 
+class LastCore(_Answer):
+    """The core temperature of a press that is silent, as it was last known."""
+
+    utc: datetime
+    core_C: float  # noqa: N815
+    core_low_C: float  # noqa: N815
+    core_high_C: float  # noqa: N815
+    """Bounds of 95 %."""
+
+
 class Target(_Answer):
     """The core temperature this pressing is to reach, and when."""
 
@@ -309,6 +319,8 @@ class PressNow(_Answer):
     channels: list[ChannelNow]
     faces: Faces
     estimate: EstimateNow | None
+    last_core: LastCore | None
+    """The core when readings ended; null while they come, and where it was not known then."""
     target: Target | None
     coefficients: dict[str, float]
     description: dict[str, Any]

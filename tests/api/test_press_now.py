@@ -158,6 +158,27 @@ def test_leave_to_open_is_taken_back_when_recorder_and_sensor_stop_together(stor
         assert now.estimate.advice.sentence == f"not known, because no scan for {since}"
 
 
+def test_of_a_press_that_fell_silent_the_core_of_then_is_known_else_none(store):
+    key = pressing_that_may_end(store)
+    assert now_of(store, 4.9).last_core is None
+    then = now_of(store, 600.0).last_core
+    assert (then.utc, then.core_C, then.core_low_C, then.core_high_C) == (
+        START + timedelta(seconds=5),
+        31.0,
+        29.0,
+        33.0,
+    )
+    assert now_of(store, -30.0).last_core is None
+    store.append_scans(key, [scan(n) for n in range(6, 12)])  # without an estimate: the live sensor went first
+    assert now_of(store, 600.0).last_core is None
+
+
+def test_of_a_press_that_fell_silent_without_a_panel_no_core_is_known(store):
+    key = pressing_that_may_end(store)
+    store.append_scans(key, [], [PressEvent(KIND.REMOVED, 1005.0, 1005.0)])
+    assert now_of(store, 600.0).last_core is None
+
+
 def test_a_recorder_whose_clock_runs_ahead_gives_no_leave(store):
     pressing_that_may_end(store)
     now = now_of(store, -30.0)

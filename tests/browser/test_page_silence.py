@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import expect
 
 from api.http.tokens import TokenFile
+from daq.store.records import in_status
 from daq.words import say
 from tests.browser.conftest import CHANNELS, LAB, NOTIFICATIONS
 
@@ -23,25 +24,27 @@ OTHER = "an alarm about something else"
 
 @pytest.fixture
 def falling_silent(served):
-    """A pressing on a watched press; what ends it, and what ends the recorder's signs of life."""
+    """A pressing on a watched press; what ends it, and what the signs of life then say is broken, if any come."""
     server, feed, page = served
     feed.shares = (0.0, 0.001, 0.999)
     feed.detail = {"energy_kJ_m2": 480.0}
     feed.store.log("alarm", "import", say("plain-text", text=OTHER))
     feed.store.put_alarm_thresholds("lab", {"silence_s": 5.0}, "foreman")
-    over, dead = threading.Event(), set()
+    over, dead, wrong = threading.Event(), set(), []
 
     def beat():
         while not over.wait(0.5):
             for process in {"record", "sense"} - dead:
-                feed.store.beat(process, {"state": "running", "presses": [{"press": "lab"}]})
+                problems = in_status(wrong if process == "record" else [], say("scans-recorded", count=1))
+                feed.store.beat(process, {"state": "running", "presses": [{"press": "lab"}], **problems})
 
     threads = [threading.Thread(target=beat), threading.Thread(target=feed.pressing, args=(60_000,))]
     for thread in threads:
         thread.start()
 
-    def end():
-        dead.add("record")
+    def end(broken=()):
+        wrong.extend(broken)
+        dead.update(() if broken else ("record",))
         feed.pause_s = 3600.0
 
     yield server, page, end
@@ -68,6 +71,12 @@ def test_silence_is_put_into_words_once_with_its_age_and_its_cause(falling_silen
     expect(page.get_by_test_id("band")).to_contain_text("as of")
     expect(page.locator("main")).to_contain_text(re.compile(r"Channels\s*as of \d"))
     expect(page.locator(".facts")).not_to_contain_text("kJ/m²")  # nothing is foreseen from old readings
+    room, facts = (page.locator(f".hero {part}").bounding_box() for part in (".beside", ".facts"))
+    assert room == pytest.approx(facts, abs=1)  # the sketch that is not shown leaves no hole
+    page.reload()  # and is so for who comes later
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    expect(page.get_by_test_id("band")).to_have_text(re.compile(r"^48\.0 … 52\.0\W°C · 95\W% band · as of \d"))
+    expect(banner).to_contain_text(CAUSE)
     page.screenshot(path=tmp_path / "now.png", full_page=True)
     said = banner.inner_text().removesuffix(CAUSE)
     assert len(TOLD.findall(page.locator("body").inner_text())) == len(TOLD.findall(said)) + 1
@@ -94,16 +103,38 @@ def test_a_tile_and_the_wall_put_silence_into_words_once(falling_silent, browser
     page.screenshot(path=tmp_path / "presses.png")
     assert len(TOLD.findall(tile.inner_text())) == 1
     page.goto(server.url + "#/wall")  # which never saw a core that it could keep
-    for one, core in ((page, "–°C"), (wall, "50.0°C")):
+    for one in (page, wall):
         expect(one.get_by_test_id("answer")).to_contain_text("not known, because no reading for")
         expect(one.get_by_test_id("health")).to_have_text(CAUSE)
-        expect(one.get_by_test_id("core")).to_have_text(core)
-    expect(wall.get_by_test_id("band")).to_contain_text("as of")
+        expect(one.get_by_test_id("core")).to_have_text("50.0°C")
+        expect(one.get_by_test_id("band")).to_contain_text("as of")
     wall.screenshot(path=tmp_path / "wall.png")
     server.end()  # from here on nobody knows
     expect(wall.get_by_test_id("health")).to_have_text("no readings")
     server.start()
     wall.close()
+
+
+def test_a_silence_says_which_logger_is_broken_where_the_recorder_lives(falling_silent, tmp_path):
+    server, page, end = falling_silent
+    lost = say("logger-no-reply", place="10.0.0.9", timeout_s=2.0)
+    broken = [say("logger-problem", press="lab", logger=name, why=lost) for name in ("presses", "platens")]
+    words = [
+        f"lab: logger {name}: 10.0.0.9: no reply in 2 s; check power, cable and address"
+        for name in ("presses", "platens")
+    ]
+    page.goto(server.url + "#/wall")
+    light = page.get_by_test_id("health")
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    end(broken)
+    expect(page.get_by_test_id("answer")).to_contain_text("not known, because no reading for")
+    expect(light).to_have_text(words[0])
+    page.screenshot(path=tmp_path / "wall.png")
+    light.get_by_role("link").click()
+    expect(page.get_by_test_id("alarms")).to_contain_text(words[0])
+    page.goto(server.url + "#/now")
+    expect(page.locator(".banner")).to_contain_text(f" ago). {words[0]}")
+    expect(page.locator("#alarms")).to_have_text(f"⚠ {OTHER}⚠ {words[1]}")  # what nothing else says
 
 
 @pytest.fixture

@@ -78,7 +78,8 @@ export function showLight(light, { now, health = null, silent = null, tile = fal
   const { state, estimate, press } = now;
   if (silent !== null) {
     light.className = "light bad";
-    light.replaceChildren(tile ? "" : causeOf(health, press, link) || el("span", { class: "unseen" }, text("page-no-readings")));
+    lead(light, tile ? "" : causeOf(health, press, link));
+    if (!tile && !light.children.length) light.replaceChildren(el("span", { class: "unseen" }, text("page-no-readings")));
     return;
   }
   const wrong = health ? wrongOf(health, press, { tile }) : "";
@@ -86,14 +87,23 @@ export function showLight(light, { now, health = null, silent = null, tile = fal
   const known = !starting && (state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known"));
   const fault = SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
-  light.textContent = fault || starting || text(known ? "page-health-ok" : tile ? "page-health-runs" : "page-health-core-unknown");
+  if (fault && !tile) lead(light, fault);
+  else light.textContent = fault || starting || text(known ? "page-health-ok" : tile ? "page-health-runs" : "page-health-core-unknown");
 }
 
-// The core as it may be shown: of a press that is silent the last that was believed, with when it was.
+// What is wrong leads to all alarms; where the words stay, what somebody is about to press does, too.
+function lead(light, words) {
+  if (light.textContent === words && light.querySelector("a")) return;
+  light.replaceChildren(words && el("a", { href: "#/alarms" }, words));
+}
+
+// The core as it may be shown: of a press that is silent the last that was believed, with when it was. Behind a lost
+// link nobody but the page knows that; who came later has it from the server.
 export class LastCore {
-  of({ state, estimate, channels }, stale) {
+  of({ state, estimate, last_core: last }, stale) {
     if (!stale && estimate?.reason !== "no scans") this.last = state !== "idle" && estimate?.valid ? { state, estimate } : null;
-    return stale && this.last ? { ...this.last, old: channels[0]?.utc ?? null } : { state, estimate, old: null };
+    const kept = this.last ?? (last && { state: "unknown", estimate: { ...last, valid: true } });
+    return stale && kept ? { ...kept, old: kept.estimate.utc } : { state, estimate, old: null };
   }
 }
 

@@ -151,7 +151,7 @@ class LivePress {
     const state = stateOf(this.now, this.stale);
     this.state.className = `pill ${state}`;
     this.state.textContent = text(`page-state-${state}`);
-    this.sketch.style.visibility = state === "unknown" ? "hidden" : ""; // it would be drawn where nobody knows it to stand
+    this.sketch.hidden = state === "unknown"; // it would be drawn where nobody knows it to stand
   }
 
   showCore() {

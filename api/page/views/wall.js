@@ -1,4 +1,4 @@
-// The wall: core, the one answer, press state and one health light, to be read from four metres; nothing to press.
+// The wall: core, the one answer, press state and one health light, to be read from four metres.
 import { again, get } from "../api.js";
 import { duration, el } from "../dom.js";
 import { text } from "../words.js";
