@@ -5,6 +5,7 @@ import { inWords, text } from "./words.js";
 
 const MOST_LINES = 3; // thirty tiles still stand on a small screen below them
 let health = null;
+let lookedAt = null;
 let left = { place: null, says: () => false }; // to the view, for as long as its place is on the page
 
 export const healthNow = () => health;
@@ -12,6 +13,12 @@ export const healthNow = () => health;
 export function showAlarms(newest) {
   health = newest;
   draw();
+}
+
+// What is about another press than the one looked at comes last; null where all are looked at.
+export function lookAt(press) {
+  lookedAt = press;
+  if (health) draw();
 }
 
 // `says(message, health)`: whether the view in a place itself says what an alarm says. One that was left says nothing.
@@ -22,7 +29,9 @@ export function leaveToView(place, says = () => false) {
 }
 
 function draw() {
-  const said = health.alarms_said.map((message, i) => ({ message, words: inWords(message, health.alarms[i]) })).filter(({ message }) => !(left.place?.isConnected && left.says(message, health)));
+  const elsewhere = ({ arguments: { press } }) => lookedAt !== null && (press ?? lookedAt) !== lookedAt;
+  const said = health.alarms_said.map((message, i) => ({ message, words: inWords(message, health.alarms[i]) })).filter(({ message }) => !(left.place?.isConnected && left.says(message, health)))
+    .sort((a, b) => elsewhere(a.message) - elsewhere(b.message));
   const starting = startingOf(health);
   const lines = said.slice(0, MOST_LINES).map(({ words }) => `⚠ ${words}`);
   const more = said.length > MOST_LINES ? text("page-alarms-more", { count: said.length - MOST_LINES }) : "";

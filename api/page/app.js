@@ -1,5 +1,5 @@
 // The page's frame: which view, which language, light or dark, and the one live connection all views share.
-import { leaveToView, showAlarms } from "./alarmbar.js";
+import { leaveToView, lookAt, showAlarms } from "./alarmbar.js";
 import { again, follow, get } from "./api.js";
 import { keepReady, listen } from "./bell.js";
 import { closeAll, redrawAll } from "./charts.js";
@@ -48,6 +48,7 @@ async function show() {
   const place = el("div", { class: "stack", "data-loading": text("page-loading") });
   main.replaceChildren(place);
   leaveToView(place);
+  lookAt(view === presses ? null : context.press);
   try {
     const done = await view.show(place, context, rest);
     if (mine === turn) leave = done ?? null;

@@ -225,6 +225,22 @@ def test_many_alarms_leave_the_screen_to_what_they_are_about(served, browser, tm
     heart.join()
 
 
+def test_the_alarms_of_the_press_looked_at_come_first(served):
+    server, feed, page = served
+    names = ["lab", "east", "north", "west"]
+    for name in names[1:]:
+        feed.store.register_press(name, CHANNELS)
+    yesterday = datetime.now(UTC) - timedelta(days=1)
+    for name in names:
+        feed.store.put_alarm_thresholds(name, {"silence_s": 5.0}, "foreman")
+    for key in (feed.key, *(feed.store.register_press(name, CHANNELS) for name in names[1:])):
+        feed.store.append_scans(key, [replace(feed._scan(0.0, 0), number=0, utc=yesterday)])
+    first = page.locator("#alarms p").first
+    for name in ("west", "lab"):
+        page.goto(server.url + f"#/runs?press={name}")
+        expect(first).to_have_text(f"⚠ {name}: no scan for more than 5 s")
+
+
 ANNOUNCED = (
     NOTIFICATIONS
     + """
