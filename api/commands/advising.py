@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from api.outputs import as_json, check_writable, spoken_language, working, write
 from daq.records import InputError
 from daq.words import say
 from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
+
+if TYPE_CHECKING:
+    from softsensor.planning.advise import ProgrammeAdvice
 
 KnownModel = Annotated[Path, typer.Option("--model", metavar="FILE", help="help-model")]
 ResinFile = Annotated[Path | None, typer.Option("--resin", metavar="FILE", help="help-advice-resin")]
@@ -84,23 +87,28 @@ def advise(options: AdviseOptions) -> None:
             open_s=options.open_for,
             progress=lambda _what, share: done(round(100 * share)),
         ).advised
-        outputs: Outputs = {}
-        if options.json is not None:
-            outputs[options.json] = as_json(found.as_json())
-        if options.svg is not None:
-            from softsensor.report.advice_figure import advice_figure
-            from softsensor.report.fit_figures import svg as drawn
-
-            outputs[options.svg] = drawn(advice_figure(found, spoken_language()))
-        if options.html is not None:
-            from softsensor.report.planning_report import advice_report
-
-            outputs[options.html] = advice_report(found, spoken_language())
-        write_all(outputs)
+        write_all(_outputs(options, found))
     from softsensor.planning.summary import advice_messages
 
     for line in advice_messages(found):
         write_line(line)
+
+
+def _outputs(options: AdviseOptions, found: ProgrammeAdvice) -> Outputs:
+    """Return what is written to each file asked for."""
+    outputs: Outputs = {}
+    if options.json is not None:
+        outputs[options.json] = as_json(found.as_json())
+    if options.svg is not None:
+        from softsensor.report.advice_figure import advice_figure
+        from softsensor.report.fit_figures import svg as drawn
+
+        outputs[options.svg] = drawn(advice_figure(found, spoken_language()))
+    if options.html is not None:
+        from softsensor.report.planning_report import advice_report
+
+        outputs[options.html] = advice_report(found, spoken_language())
+    return outputs
 
 
 def parse_panel(given: Iterable[str]) -> dict[str, Any]:

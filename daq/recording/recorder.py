@@ -149,11 +149,9 @@ def record(
             line.start()
         pages = _watched_pages(store, journal, stop)
         watch = ConfigWatch(config, journal)
-        look = partial(watch.work, lines, stop)
-        SupervisedThread(watch.steps.name, look, partial(journal, "alarm"), watch.steps).start()
+        _begin(watch.steps, partial(watch.work, lines, stop), journal)
         thinning = Steps("thinning")
-        thin = partial(_thin, store, config.store.keep_idle_days, stop, thinning)
-        SupervisedThread(thinning.name, thin, partial(journal, "alarm"), thinning).start()
+        _begin(thinning, partial(_thin, store, config.store.keep_idle_days, stop, thinning), journal)
         presses = tuple(settings.name for settings in config.press)
         journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
@@ -189,8 +187,13 @@ def _watched_pages(store: Store, journal: Journal, stop: threading.Event) -> Pag
     if (path := store.database.path) is None:
         return None
     pages = PageWatch(path, journal)
-    SupervisedThread("pages", partial(pages.work, stop), partial(journal, "alarm"), pages.steps).start()
+    _begin(pages.steps, partial(pages.work, stop), journal)
     return pages
+
+
+def _begin(steps: Steps, work: Callable[[], None], journal: Journal) -> None:
+    """Start what goes on beside recording in a thread of its own, which bears the name of its steps."""
+    SupervisedThread(steps.name, work, partial(journal, "alarm"), steps).start()
 
 
 @contextmanager

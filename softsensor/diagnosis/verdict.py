@@ -184,12 +184,11 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     models = [s.fit for s in (*stages, *beside)]
     causes = findings_of(stages, rounds, shares, errors, models[len(stages) - 1 :])
     nearly = nearly_named(rounds, stages[-1], beside)
+    left = zip(stages, tests, shares, errors, strict=True)
     basis = VerdictBasis(
         runs=len(runs),
         proofs=tuple(_proof(f, errors[0], e, noise) for f, e in zip(causes, errors[1:], strict=True)),
-        remains=tuple(
-            _remains(s, t, share, e, noise) for s, t, share, e in zip(stages, tests, shares, errors, strict=True)
-        ),
+        remains=tuple(_remains(*one, noise) for one in left),
         faulty_channels=bool(columns),
         suspected=bool(nearly),
         let_go=bool(rounds) and rounds[-1].let_go,
@@ -216,13 +215,17 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         stages=tuple(stages[: named + 1]),
         remains=basis.remains[: named + 1],
         rivals=_rivals(rounds),
-        warnings=(
-            *notes(runs, faults, rounds),
-            *spike_notes(readings.spikes),
-            *rim_notes(readings.rim),
-            *_closed_again(stages[0].data),
-            *_lacking_loads(press, runs),
-        ),
+        warnings=_warnings(readings, rounds, stages[0].data),
+    )
+
+
+def _warnings(readings: _Readings, rounds: list[Round], data: Sequence[Whitened]) -> tuple[Message, ...]:
+    return (
+        *notes(readings.runs, readings.faults, rounds),
+        *spike_notes(readings.spikes),
+        *rim_notes(readings.rim),
+        *_closed_again(data),
+        *_lacking_loads(readings.press, readings.runs),
     )
 
 

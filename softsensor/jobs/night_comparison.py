@@ -82,12 +82,12 @@ def compare(
         key: {"before": _mean(old), "after": _mean(new)},
     }
     if ahead is not None:
-        figures["predicted_rmse_K"] = {"before": ahead.before_K, "after": ahead.after_K}
+        figures["predicted_rmse_K"] = _both(ahead)
     if len(old) < FEWEST_RUNS:
         return Comparison(say("night-too-few-to-judge"), False, figures)
     core = _core_rmse(night, candidate)
     if core is not None:
-        figures["core_rmse_K"] = {"before": core.before_K, "after": core.after_K}
+        figures["core_rmse_K"] = _both(core)
     against = _against(old, new, ahead, core, fewer=bool(fewer) or night.of_sisters)
     reason = say(
         "night-compared",
@@ -99,8 +99,8 @@ def compare(
         runs=len(old),
         still="yes" if key == "rmse_still_K" else "no",
         apart="yes" if apart else "no",
-        predicted=_change("night-compared-predicted", ahead.before_K, ahead.after_K) if ahead is not None else "",
-        core=_change("night-compared-core", core.before_K, core.after_K) if core is not None else "",
+        predicted=_change("night-compared-predicted", ahead),
+        core=_change("night-compared-core", core),
         against="" if against is None else say("night-compared-against", what=Message(f"night-against-{against}")),
     )
     return Comparison(reason, against is None, figures)
@@ -139,8 +139,12 @@ def _against(
     return None
 
 
-def _change(code: str, before: float, after: float) -> Message:
-    return Message(code, {"before": before, "after": after})
+def _change(code: str, errors: _Predictions | _Core | None) -> Message | str:
+    return "" if errors is None else Message(code, _both(errors))
+
+
+def _both(errors: _Predictions | _Core) -> dict[str, float]:
+    return {"before": errors.before_K, "after": errors.after_K}
 
 
 def _mean(values: Array) -> float:
