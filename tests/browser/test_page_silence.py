@@ -22,6 +22,14 @@ OTHER = "an alarm about something else"
 """It stays on the bar whatever a view says itself."""
 
 
+LINES_OF_ITS_TIME = """({ firstChild: words }) => {
+    const range = document.createRange();
+    range.setStart(words, words.data.lastIndexOf('·') + 2);
+    range.setEnd(words, words.length);
+    return new Set([...range.getClientRects()].map(({ top }) => Math.round(top))).size;
+}"""
+
+
 @pytest.fixture
 def falling_silent(served):
     """A pressing on a watched press; what ends it, and what the signs of life then say is broken, if any come."""
@@ -75,8 +83,9 @@ def test_silence_is_put_into_words_once_with_its_age_and_its_cause(falling_silen
     assert room == pytest.approx(facts, abs=1)  # the sketch that is not shown leaves no hole
     page.reload()  # and is so for who comes later
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
-    expect(page.get_by_test_id("band")).to_have_text(re.compile(r"^48\.0 … 52\.0\W°C · 95\W% band · as of \d"))
+    expect(page.get_by_test_id("band")).to_have_text(re.compile(r"^48\.0 … 52\.0\W°C · 95\W% band · as\Wof\W\d"))
     expect(banner).to_contain_text(CAUSE)
+    assert page.get_by_test_id("band").evaluate(LINES_OF_ITS_TIME) == 1
     page.screenshot(path=tmp_path / "now.png", full_page=True)
     said = banner.inner_text().removesuffix(CAUSE)
     assert len(TOLD.findall(page.locator("body").inner_text())) == len(TOLD.findall(said)) + 1

@@ -15,13 +15,13 @@ export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`
 export const steamOf = (high) => `≤\u00a0${number(high, 0)}\u00a0kPa`;
 
 // Why there is no core is shown once: by the answer where that is not known, else here.
-// A tile has no room for the band's name. `old`: when it was, of one that rests on old readings.
+// A tile has no room for the name of the band. `old`: when it was, on one line, of one that rests on old readings.
 export function showCore(core, band, state, estimate, { tile = false, old = null } = {}) {
   const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
   core.className = valid ? "core" : "core invalid";
   core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
   band.textContent = valid
-    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C${tile ? "" : ` · ${text("page-band95")}`}${old ? ` · ${asOf(old)}` : ""}`
+    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C${tile ? "" : ` · ${text("page-band95")}`}${old ? ` · ${asOf(old).replaceAll(" ", "\u00a0")}` : ""}`
     : state === "idle" || !estimate || estimate.advice?.verdict === "not_known" ? "" : reasonOf(estimate);
 }
 
