@@ -180,7 +180,7 @@ def _worked_off(store: Store, name: str, agenda: Agenda, tally: _Tally, base: Mo
     behind = agenda.progress.behind
     return NightOutcome(
         press=name,
-        runs=store.count_pressings(name),
+        runs=agenda.runs,
         fitted=tally.fitted,
         failed=without.get("unfit", 0) + without.get("killed", 0),
         version=base.version if base is not None else "",

@@ -67,6 +67,8 @@ class Agenda:
 
     due: dict[str, str]
     """Runs to fit, by name with their fingerprints, in the order of being fitted."""
+    runs: int
+    """All there are; what comes later is the next night's."""
     new: int
     """Runs that came since the night before."""
     window: tuple[RunRecord, ...]
@@ -81,7 +83,7 @@ def agenda_of(store: Store, name: str, press: Press, base: ModelFile | None) -> 
     rests_on = rests_on_of(press, base)
     if before.rests_on != rests_on:
         before = replace(before, rests_on=rests_on, behind=before.seen + 1 if before.seen else 0)
-    mark = _Marking(store, press, base)
+    mark, runs = _Marking(store, press, base), store.count_pressings(name)
     window = tuple(store.pressings(name, limit=WINDOW)[::-1])
     mark.look(window)
     seen, new, running = before.seen, 0, store.open_run(name)
@@ -96,7 +98,7 @@ def agenda_of(store: Store, name: str, press: Press, base: ModelFile | None) -> 
     older = _older(store, name, window, before.behind)
     mark.look(older)
     behind = older[-1].number if len(older) == SHARE else 0
-    return Agenda(mark.due, new, window, replace(before, seen=seen, edits=edits, behind=behind))
+    return Agenda(mark.due, runs, new, window, replace(before, seen=seen, edits=edits, behind=behind))
 
 
 def nights_for(later: int) -> int:

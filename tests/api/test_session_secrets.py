@@ -121,8 +121,9 @@ def test_no_secret_is_in_anything_that_a_session_with_faults_wrote(
         with urllib.request.urlopen(f"{address}/metrics") as answer:
             (written / "metrics").write_bytes(answer.read())
         config = ["--config", str(made.config)]
+        pressed = [one.run for one in store.runs(status=RunStatus.CLOSED).items]
         _command(written, "refit", *config)
-        run = next(one.run for one in store.runs(status=RunStatus.CLOSED).items if store.fit(one.run))
+        run = next(run for run in pressed if store.fit(run))
         for name in ("run.csv", "run.jsonl"):
             _command(written, "export", run, *config, "--out", str(written / name))
         pages = ("--json", str(written / "f.json"), "--html", str(written / "f.html"))

@@ -91,6 +91,23 @@ def test_runs_are_fitted_once_and_a_first_model_is_promoted(store, runs):
     assert store.active_model("lab").version == model.version
 
 
+def test_a_run_that_comes_while_the_night_works_is_the_next_night_s(store, runs, monkeypatch):
+    fill(store, runs[:3])
+    whole = nightly_fits.fit_stored
+
+    def meanwhile(task):
+        if task.run == runs[0].name:
+            fill(store, runs[3:])
+        return whole(task)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(nightly_fits, "fit_stored", meanwhile)
+        first = refit_press(store, "lab", PRESS, workers=1)
+    assert str(first.fits_line) == "3 of 3 runs fitted, 0 could not be fitted"
+    second = refit_press(store, "lab", PRESS, workers=1)
+    assert (second.runs, second.new, second.fitted) == (4, 1, 1)
+
+
 def test_a_job_killed_among_the_fits_goes_on_where_it_was(store, runs, monkeypatch):
     fill(store, runs[:3])
     whole = nightly_fits.fit_stored
