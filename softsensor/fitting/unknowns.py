@@ -61,7 +61,7 @@ def gaps_at_moments(time_s: Array, moments: Moments, period: float) -> list[Gap]
         if not time_s[0] < at < time_s[-1]:
             continue
         wide = steps > max(GAP_ROWS * period, 1.0)
-        near = wide & (time_s[:-1] - 0.5 * period <= at) & (at <= time_s[1:] + GAP_NEAR_S + period)
+        near = wide & (time_s[:-1] <= at) & (at <= time_s[1:] + GAP_NEAR_S + period)
         if near.any():
             i = int(np.flatnonzero(near)[-1])
             found.append(Gap(name, float(time_s[i]), float(time_s[i + 1])))

@@ -150,6 +150,18 @@ def test_insertion_and_closing_in_one_gap_are_not_made_up(switch):
     assert fit_campaign(PRESS, [_without(cut, m.inserted_s + 4.5, m.closed_s + 5.0)]).runs[0].met
 
 
+@pytest.mark.parametrize("switch", [True, False], ids=["limit switch", "detected"])
+@pytest.mark.parametrize("rate_hz", [2.0, 0.5])
+def test_a_press_that_closes_just_before_a_gap_is_met_there_and_not_in_its_middle(switch, rate_hz):
+    plan = Plan(rate_hz=rate_hz, closed_column=switch, press_time_s=(40.0, 60.0))
+    for run, truth in make_campaign(8640001 if rate_hz < 1.0 else 8640000, 2, None, plan):
+        closed = truth.moments.closed_s
+        later = run.time_s[run.time_s > closed]
+        fitted = fit_campaign(PRESS, [_without(run, later[1], later[0] + 12.0)]).runs[0]
+        assert fitted.met
+        assert fitted.closed_s == pytest.approx(closed, abs=0.5)
+
+
 def test_a_spike_in_a_platen_channel_moves_no_coefficient_and_is_told(measured):
     run, _ = measured[0]
     spiked = run.columns["platen_top"].copy()
