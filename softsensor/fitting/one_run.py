@@ -263,12 +263,14 @@ def _other_starts(problem: FitProblem, logs: Flags) -> Iterator[Array]:
     step explains that row (seven of 96 pressings that lack 12 s about closing or opening, 6 to 17 K were left).
     """
     moments, period = problem.case.moments, problem.signals.period_s
-    for gap in gaps_at_moments(problem.case.run.time_s, moments, period):
-        i, at = problem.names.index(gap.moment), getattr(moments, gap.moment)
-        for end in (gap.start - 0.5 * period, gap.end + 0.5 * period):
-            start = problem.start
-            start[i] = (end - at) / problem.unknowns[i].unit
-            yield start
+    gaps = {gap.moment: gap for gap in gaps_at_moments(problem.case.run.time_s, moments, period)}
+    for i, unknown in enumerate(problem.unknowns):
+        if unknown.name in gaps:
+            gap, at = gaps[unknown.name], getattr(moments, unknown.name)
+            for end in (gap.start - 0.5 * period, gap.end + 0.5 * period):
+                start = problem.start
+                start[i] = (end - at) / unknown.unit
+                yield start
     for shift in OTHER_STARTS:
         yield problem.start + np.where(logs, shift, 0.0)
 

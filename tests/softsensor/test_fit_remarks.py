@@ -86,6 +86,13 @@ def test_a_moment_that_the_log_lacks_may_lie_anywhere_in_the_gap_and_hardly_outs
     assert unknown.sd == pytest.approx((end - begin) / np.sqrt(12.0), rel=0.1)  # of a flat prior
 
 
+def test_a_rig_whose_log_lacks_the_moment_of_its_beginning_is_searched_without_one(make_rig):
+    t = np.r_[np.arange(-10.0, -1.0), np.arange(20.0, 60.0)]
+    model, run = make_rig(RIG, t, {"hot": 20.0 + np.abs(t)}, {"a": '"block.top"'})
+    far_off = fit_run(model, replace(run, columns={**run.columns, "a": 300.0 - 5.0 * t}), Moments(inserted_s=0.0))
+    assert not far_off.met
+
+
 @pytest.mark.parametrize(
     ("load", "lacks"),
     [(None, "is missing"), (0.0, "holds no value above 0"), (np.nan, "holds no value above 0")],
