@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -65,7 +66,7 @@ seeds 8720000 to 8720009, 2026-11-29) 1.85 K are left in the mean with it, 2.08 
 # (`tests.calibration.set_by_hand fit`, seed 2026, 2026-11-29).
 
 SEARCH_AGAIN = 0.02
-"""Share of the readings' span: where more is left, the second search is made. 0 up, 0.47 down (seed 2026)."""
+"""Share of the readings' span: where more is left, the second search is made. 0 up, 0.47 down."""
 BAD_LOSS = 1.0
 """Loss a value after the first search, with 1 K of noise assumed, above which other starts are tried."""
 OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
@@ -73,10 +74,10 @@ OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
 SLOW_PRIOR = ((np.log(FACE_SLOW_K), 1.0), (np.log(FACE_SLOW_S), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
 SLOW_LIMITS, SLOW_TOLERANCE = (np.log((1e-3, 2.0)), np.log((50.0, 600.0))), 0.05
-"""Smallest and largest of both, and how well their logarithms are searched: 0.03 up, 0 down (seed 2026). [K, s]"""
+"""Smallest and largest of both, and how well their logarithms are searched: 0.03 up, 0 down. [K, s]"""
 TIMING_S, TIMING_ROWS, FIRST_TIMING_S = 0.005, 0.02, 0.05
 """How well the time of a row is known beyond what all channels of a place share: at least, per row, and before the
-moments have been fitted. 0.54, 0.62 and 0.15 up, 0.14, 0.22 and 0.55 down (seed 2026). [s, rows, s]"""
+moments have been fitted. 0.54, 0.62 and 0.15 up, 0.14, 0.22 and 0.55 down. [s, rows, s]"""
 PLACED_ROWS, RELAID_S = 0.1, 0.1
 """How well a fitted moment is known, and how far it moves until the steps are laid anew. [rows, s]"""
 
@@ -257,20 +258,25 @@ def _roughly(problem: FitProblem) -> Minimum:
 
 
 def _other_starts(problem: FitProblem, logs: Flags) -> Iterator[Array]:
-    """Yield further starts: a moment half a row beyond either end of a gap, all coefficients larger or smaller.
+    """Yield further starts: moments half a row beyond the ends of their gaps, all coefficients larger or smaller.
 
     A search from a gap's middle stays there where the row before the gap has felt the moment already: no small
     step explains that row (seven of 96 pressings that lack 12 s about closing or opening, 6 to 17 K were left).
+    With two such gaps both moments have to move at once.
     """
     moments, period = problem.case.moments, problem.signals.period_s
     gaps = {gap.moment: gap for gap in gaps_at_moments(problem.case.run.time_s, moments, period)}
+    ends: list[list[tuple[int, float]]] = []
     for i, unknown in enumerate(problem.unknowns):
         if unknown.name in gaps:
             gap, at = gaps[unknown.name], getattr(moments, unknown.name)
-            for end in (gap.start - 0.5 * period, gap.end + 0.5 * period):
-                start = problem.start
-                start[i] = (end - at) / unknown.unit
-                yield start
+            beyond = (gap.start - 0.5 * period, gap.end + 0.5 * period)
+            ends.append([(i, problem.start[i]), *((i, (end - at) / unknown.unit) for end in beyond)])
+    for places in list(product(*ends))[1:]:
+        start = problem.start
+        for i, place in places:
+            start[i] = place
+        yield start
     for shift in OTHER_STARTS:
         yield problem.start + np.where(logs, shift, 0.0)
 

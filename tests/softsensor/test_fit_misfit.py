@@ -150,16 +150,33 @@ def test_insertion_and_closing_in_one_gap_are_not_made_up(switch):
     assert fit_campaign(PRESS, [_without(cut, m.inserted_s + 4.5, m.closed_s + 5.0)]).runs[0].met
 
 
+def _breaking_off(run, *moments):
+    """The record lacks 12 s from the second row after each of these moments on."""
+    for at in moments:
+        later = run.time_s[run.time_s > at]
+        run = _without(run, later[1], later[0] + 12.0)
+    return run
+
+
 @pytest.mark.parametrize("switch", [True, False], ids=["limit switch", "detected"])
 @pytest.mark.parametrize("rate_hz", [2.0, 0.5])
 def test_a_press_that_closes_just_before_a_gap_is_met_there_and_not_in_its_middle(switch, rate_hz):
     plan = Plan(rate_hz=rate_hz, closed_column=switch, press_time_s=(40.0, 60.0))
     for run, truth in make_campaign(8640001 if rate_hz < 1.0 else 8640000, 2, None, plan):
         closed = truth.moments.closed_s
-        later = run.time_s[run.time_s > closed]
-        fitted = fit_campaign(PRESS, [_without(run, later[1], later[0] + 12.0)]).runs[0]
+        fitted = fit_campaign(PRESS, [_breaking_off(run, closed)]).runs[0]
         assert fitted.met
         assert fitted.closed_s == pytest.approx(closed, abs=0.5)
+
+
+@pytest.mark.parametrize(("rate_hz", "seed", "number"), [(0.5, 8640001, 0), (1.0, 8640003, 0), (1.0, 8640003, 1)])
+def test_a_press_that_moves_just_before_two_gaps_is_met_at_both(rate_hz, seed, number):
+    plan = Plan(rate_hz=rate_hz, closed_column=True, press_time_s=(40.0, 60.0), start_before_s=12.0)
+    run, truth = make_campaign(seed, 3, None, plan)[number]
+    m = truth.moments
+    fitted = fit_campaign(PRESS, [_breaking_off(run, m.closed_s, m.opened_s)]).runs[0]
+    assert fitted.rmse_still_K < 0.35
+    assert (fitted.closed_s, fitted.opened_s) == pytest.approx((m.closed_s, m.opened_s), abs=0.5)
 
 
 def test_a_spike_in_a_platen_channel_moves_no_coefficient_and_is_told(measured):
