@@ -26,6 +26,7 @@ from daq.recording import press_line
 from daq.recording.config_watch import ConfigWatch
 from daq.recording.press_line import PressLine, Shared
 from daq.recording.recorder import _status, record
+from daq.records import Quality
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
@@ -137,7 +138,8 @@ def test_pressings_are_recorded_as_runs_with_their_moments_and_start_temperature
             run = store.load_run(record_.run)
             assert np.all(np.diff(run.time_s) > 0)
             assert 0.475 < np.median(np.diff(run.time_s)) < 1.0  # a busy machine misses some
-            assert np.isfinite(run.columns["top_3"]).mean() > 0.9
+            assert np.isfinite(run.columns["top_3"]).mean() > 0.5
+        assert {q for scan in all_scans(store) for q in scan.qualities} <= {Quality.GOOD, Quality.LATE}
         kinds = [e.kind for e in store.press_events("lab")]
         assert kinds[:4] == ["inserted", "closed", "opened", "removed"]
         left = store.runs(status=RunStatus.INTERRUPTED).items
