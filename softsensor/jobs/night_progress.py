@@ -68,7 +68,7 @@ class Agenda:
     due: dict[str, str]
     """Runs to fit, by name with their fingerprints, in the order of being fitted."""
     runs: int
-    """All there are; what comes later is the next night's."""
+    """All up to the newest that was looked at; what comes later is the next night's."""
     new: int
     """Runs that came since the night before."""
     window: tuple[RunRecord, ...]
@@ -83,7 +83,7 @@ def agenda_of(store: Store, name: str, press: Press, base: ModelFile | None) -> 
     rests_on = rests_on_of(press, base)
     if before.rests_on != rests_on:
         before = replace(before, rests_on=rests_on, behind=before.seen + 1 if before.seen else 0)
-    mark, runs = _Marking(store, press, base), store.count_pressings(name)
+    mark = _Marking(store, press, base)
     window = tuple(store.pressings(name, limit=WINDOW)[::-1])
     mark.look(window)
     seen, new, running = before.seen, 0, store.open_run(name)
@@ -98,6 +98,7 @@ def agenda_of(store: Store, name: str, press: Press, base: ModelFile | None) -> 
     older = _older(store, name, window, before.behind)
     mark.look(older)
     behind = older[-1].number if len(older) == SHARE else 0
+    runs = store.count_pressings(name, below=max(mark.looked, default=0) + 1)
     return Agenda(mark.due, runs, new, window, replace(before, seen=seen, edits=edits, behind=behind))
 
 
