@@ -68,7 +68,7 @@ def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
     assert processes_mentioning(str(folder)) == 0
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals; on Windows Ctrl-Break does the same")
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_ctrl_c_while_the_nightly_job_is_awaited_ends_the_demonstration_with_its_summary(tmp_path):
     folder = tmp_path / "demo"
     command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--pressings", "1", "--hide", "edge_loss"]
@@ -87,13 +87,14 @@ def test_where_nothing_is_hidden_nobody_waits_for_a_nightly_job_under_way(tmp_pa
     shown = []
     with (
         open_store(str(tmp_path / "kerntemp.sqlite")) as store,
-        subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, text=True) as night,
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(30)"], text=True) as night,
     ):
         demo = _Demo(DemoPlan(), SimpleNamespace(), shown.append)
         demo.store, demo._night, demo._before = store, night, (0, 0)
         store.beat("record", {"state": "recording", "presses": [], "acknowledged": 0})
-        demo.finish()  # would never return
+        demo.finish()
         assert night.poll() is None
+        night.kill()
     assert "is ended with the demonstration" in str(shown[0])
     assert "Summary of 0 pressings" in "\n".join(map(str, shown))
 
