@@ -33,17 +33,17 @@ from softsensor.signals.unknown import Unknown
 
 HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared, once a search is near its end: three standard
-deviations. 0.69 up, 0.13 down (seed 2026)."""
+deviations. 0.69 up, 0.13 down."""
 SLOPE = clock_offset.EFFECT.key("seconds")
 """The model's derivative by this parameter is minus the slope of what the channels read."""
 SWITCH_TIMING_S = 0.025
 """How well the press's motion is described by straight ramps: as a delay, while it closes or opens. 0.19 up, 0.06
-down (seed 2026). [s]"""
+down. [s]"""
 SWITCH_EDGE_S = 0.2
-"""Rows this close to a ramp count as part of it. 0.55 up, 0.12 down (seed 2026). [s]"""
+"""Rows this close to a ramp count as part of it. 0.55 up, 0.12 down. [s]"""
 STALLED = 0.05
 """A search that stalls this close to the minimum, in loss, has found it: 0.3 standard deviations if the loss is a
-parabola. 0 up, 0.51 down (seed 2026): where it is none, a search may end half a standard deviation off."""
+parabola. 0 up, 0.51 down: where it is none, a search may end half a standard deviation off."""
 EVERYWHERE = "all"
 """In place of a place: the unknown is common to all channels."""
 CONSTANT = "constant"

@@ -51,7 +51,7 @@ HANDLED_S, SWITCHED_S = 0.3, 0.4
 far moves a face by 0.7 and 7 mK, the core by 0.1. [s]"""
 LAST_STEP = 0.25
 """What is left before a switch is part of the step before it up to this share of it, so that no step is much
-shorter than its neighbours; twice and half of it move nothing."""
+shorter than its neighbours; in the three runs none is, so twice and half of it move nothing."""
 GRIDS = {
     "fineness": (0.05, 50.0),
     "max_step_s": (1e-4, 3600.0),

@@ -18,13 +18,15 @@ from daq.records import Array, Moments
 # Numbers without another source were set by hand, 2026-11.
 
 OPENING_RAMP_S = 0.35
-"""How long opening takes; its middle is `Moments.opened_s`. Half as long moves a face by 0.26 K within a second of
-it, by 0.15 K later, the core by 9 mK (`tests.calibration.steps`). By hand, 2026-11. [s]"""
+"""How long opening takes; its middle is `Moments.opened_s`. Half and twice as long move a face by 0.26 and 1.1 K
+within a second of it, twice as long by 0.41 K later and the core by 24 mK (`tests.calibration.steps`). By hand,
+2026-11. [s]"""
 HANDLING_RAMP_S = 0.2
-"""How long insertion and removal take. [s]"""
+"""How long insertion and removal take; half and twice as long move a face by 0.62 and 0.79 K within a second of
+them (`tests.calibration.steps`). By hand, 2026-11. [s]"""
 SHORTEST_RAMP_S = 0.02
 """A ramp is longer than this, so that its derivatives stay finite: a tenth of what the quickest press takes to
-close, 0.2 s. Twice and half as long move nothing (`tests.calibration.steps`: seed 2026, 2026-11-29). [s]"""
+close, 0.2 s. No run of `tests.calibration.steps` (seed 2026, 2026-11-29) has one so short. [s]"""
 TIMINGS = ("closed_s", "opened_s", "ramp_s", "inserted_s")
 """What shifts a field of `Moments`."""
 OPENING_RAMP = "opening_ramp_s"

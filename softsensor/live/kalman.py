@@ -20,7 +20,7 @@ from softsensor.live.setup import Linearised, RunSetup
 from softsensor.signals.instrument import CHANNEL_K, FACE_SLOW_K
 
 MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
-"""How long a misfit, and the worst one so far, are remembered; core 0.004, band 4 % (seed 2026). [s]"""
+"""How long a misfit, and the worst one so far, are remembered; by hand: core 0.004, band 4 %. [s]"""
 
 # Numbers without another source were set by hand, 2026-11. Where one has "core x, band y %", the live core of
 # sample run 7 moves by x of its standard deviations at most, and its band widens or narrows by y % when
@@ -29,13 +29,13 @@ MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
 LOG_STEP, TIME_STEP_S, TIME_STEP, UNIT_STEP = 0.15, 0.06, 0.2, 0.5
 """Linearise anew where a logarithm, a moment (both in seconds and in prior units) or any other parameter (in prior
 units) has moved this far. The first: core 0.09, band 21 %; the last: core 0.004, band 1 %; a moment's steps move
-nothing (seed 2026)."""
+nothing."""
 JUMPS_PER_S = 5e-5
 """How often something changes at once (a contact lapses, a door opens): once in 5 h of pressing. Core 0.005, band
-2 % (seed 2026). [1/s]"""
+2 %. [1/s]"""
 DECIDE_S = 1.5
 """What is odd about a reading waits so long for the press to have closed or opened; a core does not hurry. Core
-0.004, band 4 % (seed 2026). [s]"""
+0.004, band 4 %. [s]"""
 UNREAD_K = 10.0
 """A face that has moved by more while it was silent has driven the panel in a way nobody knows. [K]"""
 

@@ -23,14 +23,14 @@ steps). Start temperature and panel constants are not in it: they are parameters
 MISFIT_USUAL, MISFIT_WEIGHT = 2.0, 5.0
 """A misfit beyond the first (78 sound runs at 1 to 10 Hz had less) speaks for a change, so many nats a unit.
 
-Half as large again or a third smaller they move the live core of sample run 7 by 0.04 and 0.02 of its standard
-deviations, its band by 19 and 8 % (`tests.calibration.set_by_hand live`, seed 2026, 2026-11-29)."""
+By hand; half as large again or a third smaller they move the live core of sample run 7 by 0.04 and 0.02 of its
+standard deviations, its band by 19 and 8 % (`tests.calibration.set_by_hand live`, seed 2026, 2026-11-29)."""
 OTHER_PANEL, OTHER_SHARE, OTHER_K = 0.3, 0.15, 1.0
 """After a change: chance that the panel itself changed, and how far the core may then be off, of its rise since
 (a core cannot move at once), or where the faces are silent. [-, -, K] By hand."""
 LEAST_ODDS = -6.0
-"""Logarithm of the odds below which a change is no hypothesis. By the same measure: 0.004, and a band of 2 % (seed
-2026)."""
+"""Logarithm of the odds below which a change is no hypothesis. By hand; by the same measure: 0.004, and
+a band of 2 %."""
 SURE = 0.9
 """Chance beyond which a change counts as one. By hand."""
 CHANGED, ANOTHER_PANEL = "sudden change", "another panel"
