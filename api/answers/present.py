@@ -91,7 +91,7 @@ def present_of(store: Store, press: str, now: datetime) -> Present:
     if found is not None:
         estimate = as_of_now(found, utc, state, newest, now, late)
     if found is not None and scan is not None and late is not None and late.reason is InvalidReason.NO_SCANS:
-        before = as_of_now(found, utc, stood, newest, scan.utc)
+        before = as_of_now(found, utc, _state_at(scan, newest, stood), newest, scan.utc)
     return Present(scan, channels, newest, events, late, state, estimate, utc, before)
 
 
@@ -116,6 +116,20 @@ def left_inside(before: RunRecord, reading: Mapping[str, float]) -> bool:
         return False
     faces = ([v for n, v in reading.items() if n.startswith(face) and v == v] for face in ("top", "bottom"))
     return any(values and median(values) > HAND_C for values in faces)
+
+
+def _state_at(scan: Scan, run: RunRecord | None, stood: State) -> State:
+    """Return the state at the newest scan: a recorder that was stopped there left the press as its run has it."""
+    if run is None or run.status is not RunStatus.INTERRUPTED or run.last_scan != scan.number:
+        return stood
+    moments = run.moments
+    steps: tuple[tuple[float, State], ...] = (
+        (moments.removed_s, "idle"),
+        (moments.opened_s, "open"),
+        (moments.closed_s, "closed"),
+        (moments.inserted_s, "open"),
+    )
+    return next((state for at_s, state in steps if math.isfinite(at_s)), "idle")
 
 
 def leave_of(estimate: StoredEstimate) -> bool:

@@ -18,7 +18,7 @@ from api.answers.thresholds import crossed
 from api.http.news import Position, news
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.simulated.campaign_pressfile import press_toml
-from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
+from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoredEstimate
 from daq.store.store import Store, open_store
 from softsensor.opening.blisters import learn_limit
 from softsensor.opening.limits import Normal
@@ -176,6 +176,18 @@ def test_of_a_press_that_fell_silent_the_core_of_then_is_known_else_none(store):
 def test_of_a_press_that_fell_silent_without_a_panel_no_core_is_known(store):
     key = pressing_that_may_end(store)
     store.append_scans(key, [], [PressEvent(KIND.REMOVED, 1005.0, 1005.0)])
+    assert now_of(store, 600.0).last_core is None
+
+
+@pytest.mark.parametrize(("kinds", "known"), [((), True), ((KIND.OPENED, KIND.REMOVED), False)])
+def test_of_a_press_whose_recorder_was_stopped_the_core_of_then_is_known(store, kinds, known):
+    """As where it died, unless the panel was gone."""
+    key = pressing_that_may_end(store)
+    store.append_scans(key, [], [PressEvent(kind, 1005.0, 1005.0) for kind in kinds])
+    assert (now_of(store, 600.0).last_core is not None) == known
+    store.append_scans(key, [], end=RunEnd("one", 5, scan(5).utc, status=RunStatus.INTERRUPTED))
+    assert (now_of(store, 600.0).last_core is not None) == known
+    store.append_scans(key, [scan(6)])  # read on without a pressing
     assert now_of(store, 600.0).last_core is None
 
 
