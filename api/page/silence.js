@@ -8,12 +8,18 @@ function recordersOf({ processes }, press) {
   return naming.length ? naming : recorders;
 }
 
-// What is wrong where a press's readings come from: its recorder gives no sign of life, or says what is broken.
+// What stops a press's readings, the likeliest first: faults that name the press, then those of its whole recorder.
+const OF_PRESS = ["logger-problem", "driver-stuck", "press-stalled"];
+const OF_RECORDER = ["thread-failed", "writer-dead", "writer-stalled", "store-trouble"];
+
+// What is wrong where a press's readings come from: a recorder that lives says what is broken, else one gives no sign of life.
 function broken(health, press) {
   const recorders = recordersOf(health, press);
-  const dead = health.alarms_said.find((one) => isDead(one) && recorders.some(({ name }) => name === one.arguments.process));
   const said = recorders.filter(({ alive }) => alive).flatMap(({ details }) => details.problem_codes ?? []);
-  return dead ?? said.find((one) => (one.arguments.press ?? press) === press);
+  const first = (codes, fits) => codes.map((code) => said.find((one) => one.code === code && fits(one))).find(Boolean);
+  const elsewhere = ({ arguments: { thread } }) => thread?.startsWith("press ") && thread !== `press ${press}`;
+  return first(OF_PRESS, (one) => one.arguments.press === press) ?? first(OF_RECORDER, (one) => !elsewhere(one))
+    ?? health.alarms_said.find((one) => isDead(one) && recorders.some(({ name }) => name === one.arguments.process));
 }
 
 const isDead = ({ code }) => code.startsWith("health-process-");
@@ -21,11 +27,16 @@ const isDead = ({ code }) => code.startsWith("health-process-");
 // Whether an alarm says what the silence of a press says already.
 export const isLimit = (said, press) => said.code === "alarm-silence" && said.arguments.press === press;
 
-// Whether an alarm says what is said of the silence of a press: that it is silent, or why.
-export const isAbout = (said, health, press) => isLimit(said, press) || JSON.stringify(said) === JSON.stringify(broken(health, press));
+// Why a press is silent, as far as it is known; nobody knows behind a lost link.
+const known = (health, press, link) => (link !== "lost" && health && broken(health, press)) || null;
 
-// Why a press is silent, as far as it is known, and what to do; empty where nobody knows, such as behind a lost link.
+// Whether an alarm says what is said of the silence of a press: that it is silent, or why.
+export function isAbout(said, health, press, link) {
+  return isLimit(said, press) || JSON.stringify(said) === JSON.stringify(known(health, press, link));
+}
+
+// Why a press is silent and what to do, in words; empty where nobody knows.
 export function causeOf(health, press, link) {
-  const said = link !== "lost" && health && broken(health, press);
+  const said = known(health, press, link);
   return said ? isDead(said) ? text("page-no-sign-of-life", said.arguments) : inWords(said) : "";
 }

@@ -146,6 +146,62 @@ def test_a_silence_says_which_logger_is_broken_where_the_recorder_lives(falling_
     expect(page.locator("#alarms")).to_have_text(f"⚠ {OTHER}⚠ {words[1]}")  # what nothing else says
 
 
+def test_behind_a_lost_link_the_bar_keeps_what_the_banner_does_not_say(falling_silent):
+    server, page, end = falling_silent
+    page.route("**/api/v1/live*", lambda route: route.abort())
+    page.goto(server.url + "#/now")
+    expect(page.locator("#link")).to_have_class("link lost")
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    end()
+    bar = page.locator("#alarms")
+    expect(bar).to_contain_text("record: silent for")
+    expect(page.locator(".banner")).to_have_text(re.compile(r"^No new reading since .* ago\)$"))
+    expect(bar).to_contain_text("record: silent for")  # also beside the banner
+    expect(bar).not_to_contain_text("lab: no scan")
+
+
+LOGGER = say("logger-problem", press="lab", logger="platens", why="off")
+STORE = say("store-trouble", why="off", count=3)
+BESIDE = [
+    say("pages-stalled", store="kerntemp.sqlite"),
+    say("configuration-stalled", file="kerntemp.toml"),
+    say("thread-stalled", thread="thinning", seconds=60.0),
+    say("thread-failed", thread="press east", why="off"),
+    say("problem-of-press", press="lab", what="off"),
+    say("logger-problem", press="east", logger="faces", why="off"),
+    say("scans-not-written", count=3),
+    say("scans-lost", count=3),
+]
+"""They stop no reading of this press."""
+DEAD = say("health-process-silent", process="record@old", seconds=60.0, command="record")
+ABOUT = """async ([alarms_said, processes]) => {
+    const { isAbout } = await import('./static/silence.js');
+    const health = { alarms_said, processes };
+    return alarms_said.filter((one) => isAbout(one, health, 'lab', 'live')).map(({ code }) => code);
+}"""
+
+
+@pytest.mark.parametrize(
+    ("problems", "cause"),
+    [
+        ([*BESIDE, STORE, LOGGER], "logger-problem"),
+        ([*BESIDE, STORE], "store-trouble"),
+        ([*BESIDE, say("writer-stalled", seconds=60.0)], "writer-stalled"),
+        (BESIDE, "health-process-silent"),
+    ],
+)
+def test_the_cause_of_a_silence_is_what_stops_its_readings(served, problems, cause):
+    """A recorder of a former machine, which still names the press, is one where none that lives knows better."""
+    server, _, page = served
+    page.goto(server.url)
+    of_lab, codes = [{"press": "lab"}], [one.to_json() for one in problems]
+    processes = [
+        {"name": "record@old", "alive": False, "details": {"presses": of_lab}},
+        {"name": "record@new", "alive": True, "details": {"presses": of_lab, "problem_codes": codes}},
+    ]
+    assert page.evaluate(ABOUT, [[DEAD.to_json(), *codes], processes]) == [cause]
+
+
 @pytest.fixture
 def silent(served):
     """A press of which nothing was read since yesterday."""

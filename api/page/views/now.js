@@ -193,7 +193,7 @@ class LivePress {
     document.documentElement.toggleAttribute("data-stale", this.stale);
     this.showState();
     this.old.hidden = !this.stale;
-    leaveToView(this.place, this.stale ? (said, health) => isAbout(said, health, this.now.press) : undefined);
+    leaveToView(this.place, this.stale ? (said, health) => isAbout(said, health, this.now.press, this.context.live) : undefined);
     const { utc } = this.now.channels[0] ?? {};
     this.read.textContent = this.stale && utc ? asOf(utc) : "";
     if (this.stale) this.showSilence(utc);
