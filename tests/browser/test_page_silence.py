@@ -160,6 +160,24 @@ def test_behind_a_lost_link_the_bar_keeps_what_the_banner_does_not_say(falling_s
     expect(bar).not_to_contain_text("lab: no scan")
 
 
+KEPT = """async (answers) => {
+    const { LastCore } = await import('./static/views/answer.js');
+    const kept = new LastCore();
+    return answers.map(([now, stale]) => kept.of(now, stale)).map(({ estimate, old }) => [estimate.core_C, old]);
+}"""
+SEEN = {"state": "closed", "estimate": {"valid": True, "core_C": 31.0, "utc": "07:00"}, "last_core": None}
+NO_SCANS = {"state": "unknown", "estimate": {"valid": False, "reason": "no scans", "core_C": None}}
+
+
+def test_of_a_silence_the_server_knows_of_its_core_counts_and_what_the_tab_saw_bridges_a_lost_link(served):
+    server, _, page = served
+    page.goto(server.url)
+    later = NO_SCANS | {"last_core": {"core_C": 52.0, "utc": "08:00"}}
+    asked = [(SEEN, False), (SEEN, True), (later, True), (later, True), (NO_SCANS | {"last_core": None}, True)]
+    seen, newer, none = [31.0, "07:00"], [52.0, "08:00"], [None, None]
+    assert page.evaluate(KEPT, asked) == [[31.0, None], seen, newer, newer, none]
+
+
 LOGGER = say("logger-problem", press="lab", logger="platens", why="off")
 STORE = say("store-trouble", why="off", count=3)
 BESIDE = [

@@ -97,13 +97,13 @@ function lead(light, words) {
   light.replaceChildren(words && el("a", { href: "#/alarms" }, words));
 }
 
-// The core as it may be shown: of a press that is silent the last that was believed, with when it was. Behind a lost
-// link nobody but the page knows that; who came later has it from the server.
+// The core as it may be shown: of a press that is silent the last that was believed, with when it was. The server says
+// it of a silence that it knows of; behind a lost link nobody but the page knows it.
 export class LastCore {
   of({ state, estimate, last_core: last }, stale) {
-    if (!stale && estimate?.reason !== "no scans") this.last = state !== "idle" && estimate?.valid ? { state, estimate } : null;
-    const kept = this.last ?? (last && { state: "unknown", estimate: { ...last, valid: true } });
-    return stale && kept ? { ...kept, old: kept.estimate.utc } : { state, estimate, old: null };
+    if (estimate?.reason === "no scans") this.last = last && { state: "unknown", estimate: { ...last, valid: true } };
+    else if (!stale) this.last = state !== "idle" && estimate?.valid ? { state, estimate } : null;
+    return stale && this.last ? { ...this.last, old: this.last.estimate.utc } : { state, estimate, old: null };
   }
 }
 
