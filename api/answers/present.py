@@ -122,14 +122,14 @@ def _state_at(scan: Scan, run: RunRecord | None, stood: State) -> State:
     """Return the state at the newest scan: a recorder that was stopped there left the press as its run has it."""
     if run is None or run.status is not RunStatus.INTERRUPTED or run.last_scan != scan.number:
         return stood
-    moments = run.moments
-    steps: tuple[tuple[float, State], ...] = (
-        (moments.removed_s, "idle"),
-        (moments.opened_s, "open"),
-        (moments.closed_s, "closed"),
-        (moments.inserted_s, "open"),
-    )
-    return next((state for at_s, state in steps if math.isfinite(at_s)), "idle")
+    steps = steps_of(run)
+    return steps[-1][1] if steps else "idle"
+
+
+def steps_of(run: RunRecord) -> list[tuple[float, State]]:
+    """Return when the press changed its state during a run, and to which, as the recorder found it live. [s]"""
+    steps = ((float(getattr(run.moments, f"{kind}_s")), state) for kind, state in STATE_AFTER.items())
+    return [(at, state) for at, state in steps if math.isfinite(at)]
 
 
 def leave_of(estimate: StoredEstimate) -> bool:

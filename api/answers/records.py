@@ -12,7 +12,7 @@ from api.answers.advice import advice_of
 from api.answers.channels import channels_now, faces_now
 from api.answers.decimation import number_or_none
 from api.answers.kept import PRESSES, Kept
-from api.answers.present import SILENT_S, Present, age_of, is_of_now, leave_of, present_of
+from api.answers.present import SILENT_S, Present, age_of, is_of_now, leave_of, present_of, steps_of
 from api.answers.schemas import (
     CoefficientFit,
     CoefficientPoint,
@@ -27,7 +27,6 @@ from api.answers.schemas import (
     RunEdit,
     RunSummary,
     Said,
-    State,
     Target,
 )
 from api.answers.words import message_answer
@@ -56,14 +55,7 @@ _DESCRIBED: Kept[str, dict[str, Any]] = Kept(PRESSES)
 
 def phases_of(run: RunRecord) -> list[Phase]:
     """Return what the press did during a run, as the recorder found it live."""
-    moments = run.moments
-    steps: list[tuple[float, State]] = [
-        (moments.inserted_s, "open"),
-        (moments.closed_s, "closed"),
-        (moments.opened_s, "open"),
-        (moments.removed_s, "idle"),
-    ]
-    known = [(at, state) for at, state in steps if math.isfinite(at)]
+    known = steps_of(run)
     ends = [*(at for at, _ in known[1:]), None][: len(known)]
     return [Phase(state=state, from_s=at, to_s=end) for (at, state), end in zip(known, ends, strict=True)]
 
