@@ -265,7 +265,7 @@ def _other_starts(problem: FitProblem, logs: Flags) -> Iterator[Array]:
     With two such gaps both moments have to move at once.
     """
     moments, period = problem.case.moments, problem.signals.period_s
-    gaps = {gap.moment: gap for gap in gaps_at_moments(problem.case.run.time_s, moments, period)}
+    gaps = gaps_at_moments(problem.case.run.time_s, moments, period)
     ends: list[list[tuple[int, float]]] = []
     for i, unknown in enumerate(problem.unknowns):
         if unknown.name in gaps:

@@ -36,7 +36,7 @@ def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
         As detected, before a fit refines them.
     """
     gaps = gaps_at_moments(case.run.time_s, moments, signals.period_s)
-    record = [f.message for f in signals.findings] + [g.message for g in gaps]
+    record = [f.message for f in signals.findings] + [g.message for g in gaps.values()]
     if moments.closed_again:
         record.append(say("fit-closed-again", at=moments.removed_s))
     loads = [spoken(remark) for remark in load_remarks(case.press, case.run)]
@@ -71,7 +71,7 @@ def lost_insertion(case: Case, signals: Signals) -> Message | None:
     lies on the hot plate from the insertion on, stays cold until the gap.
     """
     t, moments = signals.time_s, case.moments
-    gaps = {g.moment: g for g in gaps_at_moments(t, moments, signals.period_s)}
+    gaps = gaps_at_moments(t, moments, signals.period_s)
     gap = gaps.get("closed_s")
     if gap is None or not case.press.panel_layers:
         return None

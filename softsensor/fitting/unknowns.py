@@ -52,10 +52,10 @@ class Gap:
         return say("fit-gap-at-moment", begin=self.start, end=self.end, moment=self.moment)
 
 
-def gaps_at_moments(time_s: Array, moments: Moments, period: float) -> list[Gap]:
-    """Return the gaps in which insertion, closing or opening may have fallen."""
+def gaps_at_moments(time_s: Array, moments: Moments, period: float) -> dict[str, Gap]:
+    """Return the gaps in which insertion, closing or opening may have fallen, by the moment."""
     steps = np.diff(time_s)
-    found = []
+    found = {}
     for name in MOMENTS:
         at = getattr(moments, name)
         if not time_s[0] < at < time_s[-1]:
@@ -64,7 +64,7 @@ def gaps_at_moments(time_s: Array, moments: Moments, period: float) -> list[Gap]
         near = wide & (time_s[:-1] <= at) & (at <= time_s[1:] + GAP_NEAR_S + period)
         if near.any():
             i = int(np.flatnonzero(near)[-1])
-            found.append(Gap(name, float(time_s[i]), float(time_s[i + 1])))
+            found[name] = Gap(name, float(time_s[i]), float(time_s[i + 1]))
     return found
 
 
@@ -115,7 +115,7 @@ def _moment_priors(case: Case, period: float) -> list[Unknown]:
     first, last = float(case.run.time_s[0]), float(case.run.time_s[-1])
     sd = moment_sd(period)
     late = -0.5 * period if moments.source.is_wire else 0.0
-    gaps = {g.moment: g for g in gaps_at_moments(case.run.time_s, moments, period)}
+    gaps = gaps_at_moments(case.run.time_s, moments, period)
 
     def moment(name: str, mean: float = 0.0) -> Unknown:
         at = getattr(moments, name)
