@@ -47,6 +47,9 @@ def _calm() -> np.ndarray:
     return np.concatenate(found)
 
 
+CALM = _calm()
+
+
 def implicit(fineness: float = 1.0, longest_s: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
     """Return faces and core of all rows, steps laid out by what the modules hold now. [°C]"""
     model = ThermalModel(PRESS)
@@ -81,7 +84,7 @@ def by_modes() -> tuple[np.ndarray, np.ndarray]:
 def apart(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> str:
     """Say how far two answers lie apart, at the faces, there in calm rows, and in the core. [mK]"""
     faces, core = (np.abs(a - b) for a, b in zip(one, other, strict=True))
-    return f"{1e3 * np.nanmax(faces):8.2f} {1e3 * np.nanmax(faces[_calm()]):8.2f} {1e3 * np.nanmax(core):8.2f}"
+    return f"{1e3 * np.nanmax(faces):8.2f} {1e3 * np.nanmax(faces[CALM]):8.2f} {1e3 * np.nanmax(core):8.2f}"
 
 
 def changed(name: str, value: float) -> Iterator[float]:
