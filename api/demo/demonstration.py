@@ -19,7 +19,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from api.demo.press import virtual_press_of
-from api.demo.processes import JUDGED, KERNTEMP, SERVICES, Children, DemoPlan, ended
+from api.demo.processes import FIT_S, JUDGED, KERNTEMP, SERVICES, Children, DemoPlan, ended
 from api.demo.summary import (
     PressingCheck,
     compare,
@@ -43,8 +43,6 @@ QUICK_S = 5.0
 """After so long a newcomer is shown what is being waited for. [s]"""
 COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
-FIT_S = 240.0
-"""Longest wait for the last fit of a finished pressing: of a first start, also for what fits compile. [s]"""
 NIGHT_AFTER = 14
 """Pressings from one nightly job to the next while the demonstration goes on; in as many, causes were named."""
 VIEWS = ("now", "wall", "runs", "coefficients", "diagnosis", "nights")
@@ -82,7 +80,8 @@ class _Demo:
         """When it was entered what panels the press lays in, None for its own."""
         self._given = self._taken = 0
         """How often the loggers were given panels, and how often they said from which pressing on."""
-        self._ended: dict[str, float] = {}
+        self._waiting: dict[str, float] = {}
+        """Pressings that are over and wait for their fits, and since when. [s]"""
         self.config = plan.folder / "kerntemp.toml"
         self._night: subprocess.Popen[str] | None = None
         """The nightly job, while it runs."""
@@ -172,16 +171,25 @@ class _Demo:
                 self._look_after_night()
             self.children.check()
             self._pass_on()
-            for record in reversed(self.store.runs(limit=20).items):
+            for record in self._to_look_at():
                 self._note(record)
                 if not self._enough and self._finished(record):
                     self._conclude(record)
+                    self._waiting.pop(record.run, None)
                     deadline = time.monotonic() + self.plan.patience_s
-            if time.monotonic() > deadline:
+            if not self._waiting and time.monotonic() > deadline:
                 if self.plan.pressings is not None and self.findings:
                     return  # the press has done what was asked; what was not found of it is shown
                 raise WorkFailed(say("demo-no-pressing"))
             time.sleep(0.05)
+
+    def _to_look_at(self) -> list[RunRecord]:
+        """Return the newest runs and those that wait for their fits, which come late on a busy machine."""
+        newest = self.store.runs(limit=20).items
+        named = {record.run for record in newest}
+        older = [run for run in self._waiting if run not in named]
+        known = self.store.run_records(older) if older else {}
+        return [*(known[run] for run in older), *reversed(newest)]
 
     def _look_after_night(self) -> None:
         """Begin a nightly job after every `NIGHT_AFTER` pressings, and say when its diagnosis is there."""
@@ -247,7 +255,7 @@ class _Demo:
             return False
         if record.moments.closed_s != record.moments.closed_s:
             return True  # its closing was not seen: no fit will come
-        since = self._ended.setdefault(record.run, time.monotonic())
+        since = self._waiting.setdefault(record.run, time.monotonic())
         whole = "fingerprint" in (self.store.fit(record.run) or {})  # not the fit made when the press opened
         return whole or time.monotonic() - since > FIT_S
 

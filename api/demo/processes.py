@@ -28,6 +28,8 @@ PATIENCE_S = 15.0
 """Longest wait for a process to end by itself. [s]"""
 SCANS_PER_S = 30.0
 """An accelerated demonstration scans at most about this often in real time."""
+FIT_S = 240.0
+"""Longest wait for the last fit of a finished pressing: of a first start, also for what fits compile. [s]"""
 LOGGERS_KEEP = 6
 """Pressings in the memory of the loggers' process, which only looks at the present."""
 SHORTEST_CYCLE_S = 90.0
@@ -65,13 +67,14 @@ class DemoPlan:
 
     @property
     def patience_s(self) -> float:
-        """Longest wait for the next pressing, recorded and fitted. [s]"""
+        """Longest wait for the next pressing to be recorded, while none waits for its fit. [s]"""
         return START_S + 400.0 / self.speed
 
     @property
     def known_cycles(self) -> int:
         """How many pressings the truth is kept of: those to be judged, and those that go by meanwhile."""
-        return (self.pressings or JUDGED) + 4 + math.ceil(self.patience_s * self.speed / SHORTEST_CYCLE_S)
+        longest_s = max(self.patience_s, FIT_S)
+        return (self.pressings or JUDGED) + 4 + math.ceil(longest_s * self.speed / SHORTEST_CYCLE_S)
 
 
 @dataclass

@@ -12,8 +12,9 @@ import pytest
 from api.cli import main
 from api.demo.demonstration import _Demo
 from api.demo.press import FIRST_PANEL_S, PressClock, at_rest, virtual_press_of
-from api.demo.processes import DemoPlan, started
+from api.demo.processes import FIT_S, DemoPlan, started
 from api.demo.summary import PressingCheck, compare, pace_lines, summary_lines
+from api.outputs import WorkFailed
 from daq.records import InputError
 from daq.store.records import RunStatus, StoredEstimate
 from daq.store.store import open_store
@@ -103,7 +104,7 @@ def test_a_pressing_fitted_late_on_a_busy_machine_can_still_be_held_against_the_
     plan = DemoPlan(speed=30.0, pressings=1)
     truth = virtual_press_of({"hide": [], "keep": plan.known_cycles, "seed": plan.seed})
     first = truth.cycle(44.0)
-    truth.cycle(plan.patience_s * plan.speed)  # so far the press has gone on meanwhile
+    truth.cycle(max(plan.patience_s, FIT_S) * plan.speed)  # so far the press has gone on meanwhile
     assert truth.cycle(44.0) is first
 
 
@@ -192,6 +193,63 @@ def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(
     monkeypatch.setattr(demo, "_conclude", lambda record: demo.findings.append(record.run))
     demo.watch()
     assert demo.findings == ["lab-1", "lab-2"]
+
+
+class Recorded:
+    """Pressings that end one every 2 s of a time that passes by waiting alone, and are fitted so much later."""
+
+    def __init__(self, most, fitted_after_s):
+        self.most, self.fitted_after_s, self.now_s = most, fitted_after_s, 0.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds
+
+    def run_records(self, runs):
+        return {r: SimpleNamespace(run=r, status=None, moments=SimpleNamespace(closed_s=1.0)) for r in runs}
+
+    def runs(self, limit):
+        count = min(int(self.now_s / 2.0), self.most)
+        newest = range(count, max(count - limit, 0), -1)
+        return SimpleNamespace(items=tuple(self.run_records(f"lab-{k}" for k in newest).values()))
+
+    def fit(self, run):
+        ended_s = 2.0 * int(run.removeprefix("lab-"))
+        return {"fingerprint": "all of it"} if self.now_s - ended_s > self.fitted_after_s else None
+
+
+@pytest.fixture
+def watching(monkeypatch):
+    """Watch a demonstration at 60 times real speed; return its findings."""
+
+    def watched(pressings, store):
+        monkeypatch.setattr("api.demo.demonstration.time", store)
+        demo = _Demo(DemoPlan(pressings=pressings, speed=60.0), SimpleNamespace(check=lambda: None), print)
+        demo.store = store
+        monkeypatch.setattr(demo, "_pass_on", lambda: None)
+        monkeypatch.setattr(demo, "_note", lambda record: None)
+        monkeypatch.setattr(demo, "_conclude", lambda record: demo.findings.append(record))
+        demo.watch()
+        return [record.run for record in demo.findings]
+
+    return watched
+
+
+@pytest.mark.parametrize("fitted_after_s", [200.0, float("inf")])
+@pytest.mark.parametrize(("pressings", "ended"), [(1, 1), (40, 1000)])
+def test_the_demonstration_goes_on_however_late_fits_come_and_without_those_that_never_do(
+    watching, pressings, ended, fitted_after_s
+):
+    """Though more than the newest page of runs have ended meanwhile, and though the press rests already."""
+    found = watching(pressings, Recorded(ended, fitted_after_s))
+    assert found == [f"lab-{k + 1}" for k in range(pressings)]
+
+
+def test_a_press_of_which_no_run_is_recorded_ends_the_demonstration(watching):
+    with pytest.raises(WorkFailed, match="no run was recorded"):
+        watching(2, Recorded(0, 0.0))
 
 
 def test_a_pressing_is_finished_with_the_fit_of_all_of_it_and_not_with_the_one_of_its_opening(store):

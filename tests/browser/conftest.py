@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -13,9 +14,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
+from http.client import HTTPException
 from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -119,8 +122,8 @@ def demo(browser: Browser, demo_lines: list[str]) -> Iterator[str]:
 
 
 @pytest.fixture
-def open_page(browser: Browser, demo: str) -> Iterator[Callable[..., Page]]:
-    """Open a view; at the end no page may have complained."""
+def open_page(browser: Browser, demo: str, demo_lines: list[str]) -> Iterator[Callable[..., Page]]:
+    """Open a view; at the end no page may have complained. How all stands then is printed."""
     contexts, complaints = [], []
 
     def open_view(view: str, **options: object) -> Page:
@@ -133,9 +136,20 @@ def open_page(browser: Browser, demo: str) -> Iterator[Callable[..., Page]]:
         return page
 
     yield open_view
+    print("".join(demo_lines[-30:]), *_stands(demo), sep="\n")
     for context in contexts:
         context.close()
     assert complaints == []
+
+
+def _stands(address: str) -> Iterator[str]:
+    """Say how the demonstration's press stands and what its processes say: it is shown of a test that failed."""
+    for path in ("press", "health"):
+        try:
+            with urlopen(f"{address}api/v1/{path}", timeout=30) as answer:
+                yield json.dumps(json.load(answer), indent=1)
+        except (OSError, ValueError, HTTPException) as error:
+            yield f"{path}: {error}"
 
 
 def _same_host(url: str, address: str, complaints: list[str]) -> None:
