@@ -8,19 +8,21 @@ function recordersOf({ processes }, press) {
   return naming.length ? naming : recorders;
 }
 
-// What stops a press's readings, the likeliest first: faults that name the press, then those of its whole recorder.
-const OF_PRESS = ["logger-problem", "driver-stuck", "press-stalled"];
+// What stops a press's readings, the likeliest first: faults that name the press, a thread's of its own among them,
+// then those of its whole recorder.
+const OF_PRESS = ["logger-problem", "driver-stuck", "press-stalled", "thread-failed"];
 const OF_RECORDER = ["thread-failed", "writer-dead", "writer-stalled", "store-trouble"];
 
 // What is wrong where a press's readings come from: a recorder that lives says what is broken, else one gives no sign of life.
 function broken(health, press) {
   const recorders = recordersOf(health, press);
   const said = recorders.filter(({ alive }) => alive).flatMap(({ details }) => details.problem_codes ?? []);
-  const first = (codes, fits) => codes.map((code) => said.find((one) => one.code === code && fits(one))).find(Boolean);
-  const elsewhere = ({ arguments: { thread } }) => thread?.startsWith("press ") && thread !== `press ${press}`;
-  return first(OF_PRESS, (one) => one.arguments.press === press) ?? first(OF_RECORDER, (one) => !elsewhere(one))
+  const first = (codes, named) => codes.map((code) => said.find((one) => kindOf(one) === code && one.arguments.press === named)).find(Boolean);
+  return first(OF_PRESS, press) ?? first(OF_RECORDER)
     ?? health.alarms_said.find((one) => isDead(one) && recorders.some(({ name }) => name === one.arguments.process));
 }
+
+const kindOf = ({ code, arguments: { what } }) => (code === "of-press" ? what.code : code);
 
 const isDead = ({ code }) => code.startsWith("health-process-");
 

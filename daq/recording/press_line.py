@@ -138,11 +138,9 @@ class PressLine:
         self._scanner = Scanner(threads, self._period_s, speed, self._key.next_number)
         self._handed_over = -1
         """The newest scan that is on its way to the store."""
-        self._thread = SupervisedThread(
-            f"press {settings.name}", self._work, lambda fault: journal("alarm", fault, settings.name)
-        )
+        self._thread = SupervisedThread("scans", self._work, lambda fault: self._of_press("alarm", fault))
         for doubt in doubts(settings.header):
-            self._journal("warning", say("of-press", press=settings.name, what=doubt), settings.name)
+            self._of_press("warning", doubt)
 
     def _enter(self, store: Store, channels: tuple[Channel, ...]) -> tuple[PressKey, RunNames]:
         """Take a place in the store, at once or, where it is away or behind, later."""
@@ -160,8 +158,8 @@ class PressLine:
     def _thread_of(self, plan: LoggerPlan, logger: DataLogger) -> LoggerThread:
         name = plan.settings.name
         if plan.lacking is not None:
-            self._of_logger("warning", plan.lacking, {"logger": name})
-        return LoggerThread(name, logger, self._of_logger)
+            self._of_press("warning", plan.lacking, {"logger": name})
+        return LoggerThread(name, logger, self._of_press)
 
     @property
     def _period_s(self) -> float:
@@ -278,9 +276,7 @@ class PressLine:
         if disagreement is None or scan.monotonic_s - self._disagreed_s < _DISAGREEMENT_EVERY_S:
             return
         self._disagreed_s = scan.monotonic_s
-        name = self.settings.name
-        message = say("of-press", press=name, what=disagreement)
-        self._journal("warning", message, name, scan=scan.number, run=self._keeper.open_run)
+        self._of_press("warning", disagreement, {"scan": scan.number, "run": self._keeper.open_run})
 
     def _watch_clock(self, scan: Scan) -> None:
         step = self._clock.step(scan)
@@ -314,9 +310,9 @@ class PressLine:
         message = say("scans-left-out", press=self.settings.name, count=count)
         self._journal("info", message, self.settings.name, before_monotonic_s=left_out)
 
-    def _of_logger(self, level: Level, message: Message, detail: Mapping[str, Any]) -> None:
+    def _of_press(self, level: Level, message: Message, detail: Mapping[str, Any] | None = None) -> None:
         name = self.settings.name
-        self._journal(level, say("of-press", press=name, what=message), name, **detail)
+        self._journal(level, say("of-press", press=name, what=message), name, **(detail or {}))
 
     # --- how it is --------------------------------------------------------------------------------------
 
@@ -326,7 +322,7 @@ class PressLine:
         A device that is off is no standstill: its driver comes back with that news, and goes on asking.
         """
         if faults := [x for x in (self._thread.fault, *(y.fault for y in self._scanner.loggers)) if x]:
-            return faults[0]
+            return say("of-press", press=self.settings.name, what=faults[0])
         now_s, periods_s = time.monotonic(), 2.0 / self.settings.rate_hz
         if now_s - self._fresh_s > _STALLED_AFTER_S + periods_s:
             return say("press-stalled", press=self.settings.name, seconds=now_s - self._fresh_s)

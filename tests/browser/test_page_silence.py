@@ -70,6 +70,7 @@ def test_silence_is_put_into_words_once_with_its_age_and_its_cause(falling_silen
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
     expect(page.locator(".banner")).to_be_hidden()
     expect(page.locator(".facts")).to_contain_text("480 kJ/m²")
+    expect(page.get_by_role("heading", name="Running pressing")).to_be_visible()
     end()
     banner, bar = page.locator(".banner"), page.locator("#alarms")
     expect(banner).to_have_text(re.compile(r"^No new reading since .*\(\d.* ago\)\. " + CAUSE + "$"))
@@ -77,6 +78,7 @@ def test_silence_is_put_into_words_once_with_its_age_and_its_cause(falling_silen
     expect(bar).to_have_text(f"⚠ {OTHER}")
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")  # as it was then
     expect(page.get_by_test_id("band")).to_contain_text("as of")
+    expect(page.get_by_role("heading", name="Last pressing")).to_be_visible()  # whether it still runs nobody knows
     expect(page.locator("main")).to_contain_text(re.compile(r"Channels\s*as of \d"))
     expect(page.locator(".facts")).not_to_contain_text("kJ/m²")  # nothing is foreseen from old readings
     room, facts = (page.locator(f".hero {part}").bounding_box() for part in (".beside", ".facts"))
@@ -180,11 +182,13 @@ def test_of_a_silence_the_server_knows_of_its_core_counts_and_what_the_tab_saw_b
 
 LOGGER = say("logger-problem", press="lab", logger="platens", why="off")
 STORE = say("store-trouble", why="off", count=3)
+FAILED = say("thread-failed", thread="logger platens", why="off")
 BESIDE = [
     say("pages-stalled", store="kerntemp.sqlite"),
     say("configuration-stalled", file="kerntemp.toml"),
     say("thread-stalled", thread="thinning", seconds=60.0),
-    say("thread-failed", thread="press east", why="off"),
+    say("of-press", press="east", what=FAILED),
+    say("of-press", press="lab", what="off"),
     say("problem-of-press", press="lab", what="off"),
     say("logger-problem", press="east", logger="faces", why="off"),
     say("scans-not-written", count=3),
@@ -203,7 +207,9 @@ ABOUT = """async ([alarms_said, processes]) => {
     ("problems", "cause"),
     [
         ([*BESIDE, STORE, LOGGER], "logger-problem"),
+        ([*BESIDE, STORE, say("of-press", press="lab", what=FAILED)], "of-press"),
         ([*BESIDE, STORE], "store-trouble"),
+        ([*BESIDE, say("thread-failed", thread="writer", why="off")], "thread-failed"),
         ([*BESIDE, say("writer-stalled", seconds=60.0)], "writer-stalled"),
         (BESIDE, "health-process-silent"),
     ],

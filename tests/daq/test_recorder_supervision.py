@@ -66,9 +66,9 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
 
         with recording_by(made):
             wait_until(lambda: opened.runs().items and len(opened.press_events("lab")) >= 4)
-            threads = [name for name in injector.seen if name in ("writer", "press", "logger", "Thread-1")]
-            assert {"writer", "press", "logger"} <= set(threads)
-            names = ("writer", "press", "logger")
+            threads = [name for name in injector.seen if name in ("writer", "scans", "logger", "Thread-1")]
+            assert {"writer", "scans", "logger"} <= set(threads)
+            names = ("writer", "scans", "logger")
             often = [(thread, label) for thread in names for label in sorted(injector.seen[thread])]
             tried, seldom = set(), set()
 

@@ -93,7 +93,7 @@ class LivePress {
     this.sketch = el("div", { "aria-hidden": "true" });
     this.list = el("dl", { class: "facts" });
     this.grid = el("div", { class: "channels", "data-testid": "channels" });
-    this.title = el("h2", {});
+    this.title = el("h2", { id: "pressing-title" });
     [this.canvas, this.faces, this.keys, this.faceKeys] = [0, 1, 2, 3].map(() => el("div", {}));
     this.behind = el("p", { class: "small warn-text", role: "status", hidden: true, "data-testid": "behind" });
     this.lacking = el("p", { class: "small warn-text", role: "status", hidden: true, "data-testid": "lacking" });
@@ -109,7 +109,7 @@ class LivePress {
           this.bench = el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
           el("div", { class: "beside" }, this.sketch, this.list),
           el("p", { class: "small" }, el("a", { href: "#/wall" }, text("page-wall")))),
-        this.charts = el("section", { class: "card", "aria-label": text("page-running-pressing") },
+        this.charts = el("section", { class: "card", "aria-labelledby": "pressing-title" },
           el("div", { class: "head" }, this.title), this.lacking,
           this.curves = el("div", { hidden: true }, this.canvas, this.keys, this.behind,
             el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys))),
@@ -221,11 +221,12 @@ class LivePress {
     this.grid.replaceChildren(...nodes);
   }
 
-  // The pressing whose curves are shown; one that has ended since is the last, not the running one.
+  // The pressing whose curves are shown; one that has ended since is the last, not the running one, nor is one of which
+  // nobody knows whether it still runs.
   showTitle() {
     const { run, run_status: status } = this.now;
     const shown = this.drawn ?? run; // its curves may be on their way yet
-    const code = shown === run && status === "open" ? "page-running-pressing" : "page-last-pressing";
+    const code = shown === run && status === "open" && !this.stale ? "page-running-pressing" : "page-last-pressing";
     this.title.textContent = shown ? `${text(code)} ${shown}` : text("page-waiting-for-pressing");
     this.curves.hidden = !this.drawn;
   }
