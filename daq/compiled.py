@@ -37,6 +37,7 @@ import numba
 from numba import njit
 from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
@@ -97,7 +98,6 @@ class _Kept:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the machine code for a signature, None where none is kept."""
-        context.refresh()
         key = (signature, context.codegen().magic_tuple())
         try:
             kept = self._path(key).read_bytes()
@@ -105,11 +105,12 @@ class _Kept:
             return None
         if hashlib.sha256(kept[32:]).digest() != kept[:32]:
             return None
-        of, called, reduced = pickle.loads(kept[32:])
-        if of != key:
+        of, called, symbols, reduced = pickle.loads(kept[32:])
+        if of != key or not symbols.all_known(context):
             return None
         for symbol, code in called:
             llvmlite.binding.add_symbol(symbol, code.address())
+        context.codegen()._engine._defined_symbols |= symbols.defined  # noqa: SLF001 - Numba takes them from bitcode
         result = CompileResult._rebuild(context, *reduced)  # noqa: SLF001 - as Numba does
         self._stand_apart(signature, result)
         return result
@@ -118,10 +119,10 @@ class _Kept:
         """Keep the machine code for a signature, unless it holds addresses of this process."""
         key = (signature, result.codegen.magic_tuple())
         kept = not (result.lifted or result.library.has_dynamic_globals)
-        text = dumps((key, _called(result), result._reduce())) if kept else b""  # noqa: SLF001 - as Numba does
         self._stand_apart(signature, result)
         if not kept:
             return
+        text = dumps((key, _called(result), _Symbols.of(result), result._reduce()))  # noqa: SLF001 - as Numba does
         try:
             _write(self._path(key), hashlib.sha256(text).digest() + text)
         except OSError:  # a full disk or a folder of somebody else's: compiled again next time
@@ -131,7 +132,10 @@ class _Kept:
         """Nothing waits to be written."""
 
     def _stand_apart(self, signature: Any, result: CompileResult) -> None:
-        """Let callers of a function refer to its machine code in place of building it into their own."""
+        """Let callers of a function refer to its machine code in place of building it into their own.
+
+        So nothing but machine code need be kept; reading the rest took a tenth of the time of loading (2026-11).
+        """
         of = self._function
         _CODE[result.fndesc.llvm_func_name] = _Code(of.__module__, of.__qualname__, signature)
         # what Numba would link into a caller: nothing, since the caller declares what it calls by itself
@@ -151,6 +155,36 @@ class _Code(NamedTuple):
         function.compile(self.signature)
         result = function.overloads[self.signature]
         return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+class _Symbols(NamedTuple):
+    """The names in a function's machine code: of what it is, and of what it needs that is not this project's."""
+
+    defined: frozenset[str]
+    needed: frozenset[str]
+
+    @classmethod
+    def of(cls, result: CompileResult) -> _Symbols:
+        """Return the names in the code of a compiled function."""
+        module = result.library._final_module  # noqa: SLF001
+        defined, needed = set[str](), set[str]()
+        for one in (*module.functions, *module.global_variables):
+            (needed if one.is_declaration else defined).add(one.name)
+        foreign = (name for name in needed - _CODE.keys() if not name.startswith("llvm."))
+        return cls(frozenset(defined), frozenset(foreign))
+
+    def all_known(self, context: Any) -> bool:
+        """Return whether all that is needed is in this process, for which as little as does it is loaded.
+
+        Numba makes ready to compile before it loads what is compiled: that imports SciPy's linear algebra and all
+        by which code can be typed, and took 0.3 of a live sensor's 0.9 s (2026-11).
+        """
+        ways: tuple[Callable[[Any], Any], ...] = (lambda _: None, rtsys.initialize, type(context).refresh)
+        for load in ways:
+            load(context)
+            if all(llvmlite.binding.address_of_symbol(name) is not None for name in self.needed):
+                return True
+        return False
 
 
 def function_at(module: str, name: str) -> Any:

@@ -114,6 +114,24 @@ def test_a_caller_whose_code_is_kept_finds_that_of_what_it_calls_compiled_anew_u
     assert answer(tree) == (5.0, 0)
 
 
+def test_what_is_kept_is_loaded_without_what_compiles(tree):
+    assert answer(tree) == (5.0, 1)
+    loaded = "import sys\nprint((0.0 if 'numba.np.linalg' in sys.modules else 1.0) * flow"
+    assert answer(tree, call=CALL.replace("print(flow", loaded)) == (5.0, 0)
+
+
+def test_kept_code_that_needs_a_symbol_of_the_compilers_finds_it(tree):
+    change(tree, "softsensor/lower.py", "SHARE * x", "SHARE * x + 0.0 * hash(str(x > 0.0))")
+    assert answer(tree) == (5.0, 1)
+    assert answer(tree) == (5.0, 0)
+
+
+def test_kept_code_that_needs_a_symbol_nobody_has_is_compiled_anew(tree):
+    assert answer(tree) == (5.0, 1)
+    gone = "from daq.compiled import _Symbols\n_Symbols.all_known = lambda symbols, context: False\n"
+    assert answer(tree, call=gone + CALL) == (5.0, 1)
+
+
 def test_a_function_is_not_built_into_those_that_call_it(tree):
     assert answer(tree, call=CALL.replace("sum(flow.stats.cache_misses.values())", DEFINED)) == (5.0, 0)
     own = f"from softsensor.lower import half as flow\nprint(flow(8.0), {DEFINED})"
