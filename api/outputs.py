@@ -14,9 +14,6 @@ from tempfile import gettempdir
 from typing import Any
 from uuid import uuid4
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
 from daq.records import InputError
 from daq.tables import reason_of
 from daq.words import Message, say
@@ -177,6 +174,9 @@ def working(what: Message, total: int | None = None) -> Iterator[Callable[[int],
     if not sys.stderr.isatty():
         yield lambda _done: None
         return
+    from rich.console import Console  # a quarter of what `kerntemp --help` would import
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),

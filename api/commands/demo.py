@@ -27,11 +27,13 @@ def demo(
     check_effects(hidden)
     check_port(port)
     from api.demo.processes import DemoPlan, started
+    from daq.process.loading import loading
 
     end_in_order()
     plan = DemoPlan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed)
     with started(plan, data) as children:
-        from api.demo.demonstration import run_demo  # while the others come up
+        with loading():
+            from api.demo.demonstration import run_demo  # while the others come up
 
         run_demo(plan, children, write_line, kept=data is not None)
 
@@ -50,6 +52,8 @@ def _end(number: int, _frame: object) -> NoReturn:
 
 def check_effects(names: tuple[str, ...]) -> None:
     """Refuse names the virtual press does not know. Raises `InputError`."""
+    if not names:
+        return
     from daq.simulated.effects import split_names
 
     try:

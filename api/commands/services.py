@@ -32,8 +32,11 @@ Port = Annotated[int | None, typer.Option("--port", min=0, max=65535, metavar="N
 
 def record(config: ConfigFile = None) -> None:
     """Log all presses of the configuration, without end."""
-    from daq.process.config import load_config
-    from daq.recording.recorder import record as run
+    from daq.process.loading import loading
+
+    with loading():
+        from daq.process.config import load_config
+        from daq.recording.recorder import record as run
 
     settings = load_config(config_path(config))
     log_to_stderr()
@@ -42,8 +45,11 @@ def record(config: ConfigFile = None) -> None:
 
 def sense(config: ConfigFile = None) -> None:
     """Run the live sensor on all presses of the configuration, without end."""
-    from daq.process.config import load_config
-    from softsensor.jobs.live_service import sense as run
+    from daq.process.loading import loading
+
+    with loading():
+        from daq.process.config import load_config
+        from softsensor.jobs.live_service import sense as run
 
     settings = load_config(config_path(config))
     log_to_stderr()
@@ -64,14 +70,17 @@ def serve(
     store: StoreUrl = None,
 ) -> None:
     """Serve REST and the page; on loopback only unless tokens exist."""
-    from api.alarms.watch import watching
-    from api.alarms.ways import ways_of
-    from api.http.server import Listening, address_of, make_server, run_server
-    from daq.process.config import ServerSettings, load_config
-    from daq.process.stopping import outlive_hangup
-    from daq.store.records import StoreUnavailable
-    from daq.store.store import open_store
-    from daq.store.waiting import ending_reported
+    from daq.process.loading import loading
+
+    with loading():
+        from api.alarms.watch import watching
+        from api.alarms.ways import ways_of
+        from api.http.server import Listening, address_of, make_server, run_server
+        from daq.process.config import ServerSettings, load_config
+        from daq.process.stopping import outlive_hangup
+        from daq.store.records import StoreUnavailable
+        from daq.store.store import open_store
+        from daq.store.waiting import ending_reported
 
     outlive_hangup()
     path = Path(CONFIG_NAME) if store is not None and config is None else config_path(config)

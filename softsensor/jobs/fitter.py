@@ -8,6 +8,7 @@ import threading
 import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context, parent_process
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Run
+from daq.supervision import BEAT_S
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.first_start import WorkKind, compile_for, kept
 
@@ -25,6 +27,9 @@ LOG = logging.getLogger("kerntemp.sense")
 
 TRIES = 2
 """Workers a fit is given: one may be killed for what others use of the memory, two hardly."""
+BEHIND_S = 2.0 * BEAT_S
+"""Two signs of life after the live sensor follows its fits' worker is started, which nobody needs before a press
+opens: that takes most of a second of a core (2026-11-30), from the first core of a start. [s]"""
 LONGEST_S = 1800.0
 """A worker that does not answer for so long stands still: a fit takes seconds, compiling before the first minutes,
 on a slow machine a quarter of an hour. [s]"""
@@ -40,6 +45,8 @@ class Fitter:
         """Runs whose worker was lost and that another one fits, until who asked for the fit has reported it."""
         self._closed = False
         self._pool = new_workers(1)
+        self._later = threading.Timer(BEHIND_S, self._begin_warming_up)
+        self._later.daemon = True
 
     def help_compiling(self) -> None:
         """Compile in the worker, beside the live sensor, what that needs; where all is kept, none is started."""
@@ -54,11 +61,23 @@ class Fitter:
             self._replace_worker()
             return self._pool.submit(_warm_up)
 
+    def warm_up_behind(self) -> None:
+        """Do so in a while, where that takes no longer than loading what is compiled already."""
+        if kept(WorkKind.FIT):
+            self._later.start()
+        else:
+            self.warm_up()
+
+    def _begin_warming_up(self) -> None:
+        with suppress(RuntimeError):  # closed meanwhile
+            self.warm_up()
+
     def __enter__(self) -> Fitter:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._closed = True
+        self._later.cancel()
         self._queue.shutdown(wait=False, cancel_futures=True)
         self._pool.shutdown(wait=False, cancel_futures=True)
 

@@ -84,7 +84,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         notifier = Notifier()
         fitter.help_compiling()
         _compile([press for _, press in presses], lambda: _try_to_beat(store, followers, "starting"))
-        fitter.warm_up()
+        fitter.warm_up_behind()
         with suppress(StoreUnavailable):  # held for the moment: no reason to end
             write_journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
         notifier.ready("following the store")

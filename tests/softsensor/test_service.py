@@ -630,6 +630,28 @@ def test_the_fitting_worker_ends_when_its_process_is_killed(tmp_path):
     wait_until(lambda: is_zombie(worker))
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_fits_worker_lets_the_live_sensor_begin_first_unless_it_has_to_compile(monkeypatch, compiled):
+    begun = []
+    monkeypatch.setattr("softsensor.jobs.fitter.kept", lambda _: compiled)
+    monkeypatch.setattr("softsensor.jobs.fitter.BEHIND_S", 3600.0)
+    monkeypatch.setattr(Fitter, "warm_up", lambda _: begun.append(True))
+    with Fitter() as fitter:
+        fitter.warm_up_behind()
+    assert fitter._later.finished.is_set()  # nothing comes after the sensor has ended
+    assert begun == ([] if compiled else [True])
+
+
+def test_the_fits_worker_begins_in_a_while(monkeypatch):
+    begun = []
+    monkeypatch.setattr("softsensor.jobs.fitter.kept", lambda _: True)
+    monkeypatch.setattr("softsensor.jobs.fitter.BEHIND_S", 0.0)
+    monkeypatch.setattr(Fitter, "warm_up", lambda _: begun.append(True))
+    with Fitter() as fitter:
+        fitter.warm_up_behind()
+        wait_until(lambda: begun)
+
+
 def kill_here():
     os.kill(os.getpid(), signal.SIGKILL)
 
