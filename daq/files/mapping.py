@@ -46,19 +46,16 @@ import codecs
 import csv
 import fnmatch
 import math
-import statistics
 from array import array
-from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import ValidationError
 
+from daq.files.mapped_times import Row, plain, rows_in_order, start_of
+from daq.files.mapping_tables import ColumnTable, ComputedTable, FileTable, HeaderFrom, Mapped
 from daq.press.header import check_header
 from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run, matches
 from daq.tables import at, explained, load_toml, reason_of
@@ -66,118 +63,6 @@ from daq.thermocouple import celsius_of
 from daq.words import Message, say
 
 _DELIMITERS = {"tab": "\t", "space": " "}
-_SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
-_DAY_S = 86400.0
-"""By definition; a clock that jumps back by more than half of it has passed midnight. [s]"""
-_LATE_STEPS = 10
-"""What lies further back than so many of a file's own steps is no row that came late: with one a second a pause
-is read wrong where it lasts the hour but for 10 s. Its own step is the median of as many. By hand, 2026-11."""
-
-
-class _MappingTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class FileTable(_MappingTable):
-    """``[file]``: how the text is laid out."""
-
-    encoding: str = "utf-8-sig"
-    delimiter: Literal[",", ";", "|", "tab", "space"] = ","
-    decimal: Literal[".", ","] = "."
-    header_line: int = Field(default=1, ge=1)
-    units_lines: int = Field(default=0, ge=0)
-    comment: str = "#"
-    missing: tuple[str, ...] = ("", "NaN", "nan", "NA", "---")
-
-
-class TimeTable(_MappingTable):
-    """``[time]``: what the time column holds."""
-
-    column: str | tuple[str, ...]
-    format: str = "seconds"
-    zone: str = ""
-    """Of dates and times that have none of their own; without, they are only counted from the first row."""
-    from_zero: bool = True
-    """Count from the first row; instants always do."""
-    repeated: Literal["refuse", "first"] = "refuse"
-
-    @field_validator("zone")
-    @classmethod
-    def _known_zone(cls, zone: str) -> str:
-        try:
-            return zone and ZoneInfo(zone).key
-        except (ZoneInfoNotFoundError, ValueError, OSError) as error:
-            raise ValueError(say("mapping-no-zone")) from error
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The columns whose cells, joined by blanks, give the time."""
-        return (self.column,) if isinstance(self.column, str) else self.column
-
-
-class ColumnTable(_MappingTable):
-    """``[[column]]``: one column of the run file."""
-
-    source: str | tuple[str, ...] = Field(alias="from", min_length=1)
-    """Its name in the file; of several the first that is there."""
-    to: str = Field(min_length=1)
-    unit: Literal["C", "K", "F", ""] = "C"
-    scale: float = 1.0
-    offset: float = 0.0
-    lower: float = -math.inf
-    upper: float = math.inf
-    optional: bool = False
-    """The file may lack it."""
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """Its possible names in the file, the likeliest first."""
-        return (self.source,) if isinstance(self.source, str) else self.source
-
-    def found(self, names: Sequence[str]) -> str | None:
-        """Return the name it goes by in a file, None where the file lacks it."""
-        return next((source for source in self.sources if source in names), None)
-
-
-class ComputedTable(_MappingTable):
-    """``[[computed]]``: a weighted sum of mapped columns, empty where one of them is."""
-
-    to: str = Field(min_length=1)
-    terms: Mapping[str, float] = Field(min_length=1)
-    """Weight of each column, by its name in the run file."""
-    offset: float = 0.0
-
-
-class HeaderFrom(_MappingTable):
-    """``[header_from.KEY]``: a header key from the first or last value of a mapped column."""
-
-    column: str
-    scale: float = 1.0
-    digits: int = 3
-    row: Literal["first", "last"] = "first"
-
-
-class Variant(_MappingTable):
-    """``[[variant]]``: header keys for files whose name matches."""
-
-    match: str
-    header: Mapping[str, Any]
-    of: str = ""
-    """What it answers; a file that matches two answers to one question is refused."""
-
-
-class Mapped(_MappingTable):
-    """The whole mapping."""
-
-    file: FileTable = FileTable()
-    time: TimeTable
-    column: tuple[ColumnTable, ...] = Field(min_length=1)
-    computed: tuple[ComputedTable, ...] = ()
-    header: Mapping[str, Any] = Field(default_factory=dict)
-    header_from: Mapping[str, HeaderFrom] = Field(default_factory=dict)
-    variant: tuple[Variant, ...] = ()
-    required_variants: tuple[str, ...] = ()
-    """Questions (`Variant.of`) that a file's name has to answer."""
 
 
 def read_mapping(path: Path) -> Mapped:
@@ -219,7 +104,7 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
     places = _places(path, names.cells, mapped)
     kept = {c: (array("d"), matches(c.to, temperatures)) for c in mapped.column if c.to in places}
     times, first = array("d"), None
-    for row, time_s in _rows_in_order(path, rows, names, mapped):
+    for row, time_s in rows_in_order(path, rows, names, mapped):
         first = first or row
         times.append(time_s)
         for column, (values, temperature) in kept.items():
@@ -232,7 +117,7 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
         raise InputError(at(path, say("foreign-no-rows", line=names.line)))
     columns = {column.to: np.frombuffer(values) for column, (values, _) in kept.items()}
     columns |= _computed(columns, mapped.computed)
-    header: dict[str, Any] = {"run": path.stem, **_start(path, first, names.cells, mapped), **mapped.header}
+    header: dict[str, Any] = {"run": path.stem, **start_of(path, first, names.cells, mapped), **mapped.header}
     header |= _variants(path, mapped)
     for key, source in mapped.header_from.items():
         if key not in header:
@@ -270,13 +155,7 @@ def _variants(path: Path, mapped: Mapped) -> dict[str, Any]:
     return header
 
 
-@dataclass(frozen=True)
-class _Row:
-    line: int
-    cells: Sequence[str]
-
-
-def _rows(path: Path, file: FileTable) -> Iterator[_Row]:
+def _rows(path: Path, file: FileTable) -> Iterator[Row]:
     """Yield the row of names, then the others, each read when it is asked for."""
     delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
     read: list[int] = []
@@ -287,7 +166,7 @@ def _rows(path: Path, file: FileTable) -> Iterator[_Row]:
             yield text
 
     reader = csv.reader(texts(), delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True)
-    names: _Row | None = None
+    names: Row | None = None
     while True:
         read.clear()  # a quoted cell may hold several lines
         try:
@@ -296,7 +175,7 @@ def _rows(path: Path, file: FileTable) -> Iterator[_Row]:
             return
         except csv.Error as error:
             raise InputError(at(path, say("run-quotation", reason=reason_of(error)), line=read[0])) from error
-        row = _Row(read[0], [cell for cell in cells if cell] if delimiter == " " else cells)
+        row = Row(read[0], [cell for cell in cells if cell] if delimiter == " " else cells)
         names = names or row
         if len(row.cells) < len(names.cells) and any(names.cells[len(row.cells) :]):
             problem = say("foreign-cell-count", cells=len(row.cells), line=names.line, columns=len(names.cells))
@@ -353,98 +232,12 @@ def _places(path: Path, names: Sequence[str], mapped: Mapped) -> dict[str, int]:
     return {to: names.index(source) for to, source in found.items() if source}
 
 
-def _rows_in_order(path: Path, rows: Iterator[_Row], names: _Row, mapped: Mapped) -> Iterator[tuple[_Row, float]]:
-    """Yield the rows with their times, which rise."""
-    places = [names.cells.index(column) for column in mapped.time.columns]
-    start, days, before = math.nan, 0.0, -math.inf
-    steps: deque[float] = deque(maxlen=_LATE_STEPS)
-    clock, instants = mapped.time.format == "clock", mapped.time.format not in _SECONDS
-    for row in rows:
-        cell = " ".join(row.cells[place] for place in places)
-        time_s = _time(path, row, cell, mapped, before, steps)
-        if clock and time_s + days < before - 0.5 * _DAY_S:
-            days += _DAY_S
-        time_s += days
-        if time_s <= before:
-            if mapped.time.repeated == "first":
-                continue
-            named = " + ".join(mapped.time.columns)
-            raise InputError(at(path, say("foreign-time-falls", cell=repr(cell)), line=row.line, column=named))
-        if start == start:
-            steps.append(time_s - before)
-        else:
-            start = time_s if mapped.time.from_zero or instants else 0.0
-        before = time_s
-        yield row, round(time_s - start, 6)
-
-
-def _time(
-    path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -math.inf, steps: Collection[float] = ()
-) -> float:
-    layout = mapped.time.format
-    try:
-        if layout in _SECONDS:
-            return float(_plain(cell, mapped.file)) * _SECONDS[layout]
-        if any(sign.isdigit() and not sign.isascii() for sign in cell):
-            raise ValueError(cell)
-        if layout == "clock":
-            hours, minutes, seconds = cell.replace("_", "?").split(":")  # Python takes 1_0 for 10
-            return 3600.0 * int(hours) + 60.0 * int(minutes) + float(_plain(seconds, mapped.file))
-        moment = _moment(cell, layout)
-    except ValueError as error:
-        named = " + ".join(mapped.time.columns)
-        problem = say("foreign-time-format", cell=repr(cell), format=layout)
-        raise InputError(at(path, problem, line=row.line, column=named)) from error
-    if moment.tzinfo:
-        return moment.timestamp()
-    return _instant(moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC), before, steps)
-
-
-def _instant(local: datetime, before: float, steps: Collection[float]) -> float:
-    """Return the instant of a local time: of one that comes twice the second where it is no row that came late.
-
-    Late is what lies back by few of the file's own steps, and by less than the second lies ahead.
-    """
-    first_s, again_s = local.timestamp(), local.replace(fold=1).timestamp()
-    back_s, ahead_s = before - first_s, again_s - before
-    comes_twice = again_s > first_s  # as an hour does when clocks are set back
-    if not comes_twice or back_s < 0.0:
-        return first_s
-    few_s = _LATE_STEPS * statistics.median(steps) if steps else 0.0
-    return first_s if back_s <= few_s and back_s < ahead_s else again_s
-
-
-def _moment(cell: str, layout: str) -> datetime:
-    return datetime.fromisoformat(cell) if layout == "iso" else datetime.strptime(cell, layout)  # noqa: DTZ007
-
-
-def _start(path: Path, row: _Row, names: Sequence[str], mapped: Mapped) -> dict[str, Any]:
-    """Return the header key of when the file begins, where the file or the mapping states the zone."""
-    if mapped.time.format in _SECONDS or mapped.time.format == "clock":
-        return {}
-    cell = " ".join(row.cells[names.index(column)] for column in mapped.time.columns)
-    if not mapped.time.zone and _moment(cell, mapped.time.format).tzinfo is None:
-        return {}
-    return {"recorded.started_utc": datetime.fromtimestamp(_time(path, row, cell, mapped), UTC)}
-
-
-def _plain(cell: str, file: FileTable) -> str:
-    """Return a number with a decimal point and without thousands marks, its digits 0 to 9."""
-    if not cell.isascii() or "_" in cell:
-        raise ValueError(cell)
-    if file.decimal == ",":
-        if "." in cell and "," not in cell:
-            raise ValueError(cell)
-        return cell.replace(".", "").replace(",", ".")
-    return cell
-
-
-def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTable) -> float:
+def _value(path: Path, row: Row, place: int, column: ColumnTable, file: FileTable) -> float:
     cell = row.cells[place] if place < len(row.cells) else ""
     if cell in file.missing:
         return math.nan
     try:
-        value = float(_plain(cell, file)) * column.scale + column.offset
+        value = float(plain(cell, file)) * column.scale + column.offset
     except ValueError as error:
         problem = say("foreign-no-number", cell=repr(cell), decimal=file.decimal)
         raise InputError(at(path, problem, line=row.line, column=" | ".join(column.sources))) from error

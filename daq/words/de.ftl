@@ -248,6 +248,7 @@ foreign-no-rows = auf Zeile { NUMBER($line) }, die die Spalten nennt, folgen kei
 foreign-no-temperature = { $value } °C ist keine Temperatur; sie muss zwischen { NUMBER($coldest) } und { NUMBER($hottest) } °C liegen; die Einheit der Spalte angeben oder lower und upper setzen
 foreign-time-falls = { $cell } steigt nicht; Reihen sortieren oder time.repeated = "first" setzen
 foreign-time-format = { $cell } ist nicht '{ $format }'; time.format setzen
+foreign-time-missing = { $cell } ist keine Zeit; jede Reihe braucht eine
 foreign-too-short =
     { $lines ->
         [one] hat eine Zeile, aber file.header_line = { NUMBER($header_line) }

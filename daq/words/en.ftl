@@ -248,6 +248,7 @@ foreign-no-rows = no rows follow line { NUMBER($line) }, which names the columns
 foreign-no-temperature = { $value } °C is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } °C; give the column's unit, or set its lower and upper
 foreign-time-falls = { $cell } does not rise; sort the rows, or set time.repeated = "first"
 foreign-time-format = { $cell } is not '{ $format }'; set time.format
+foreign-time-missing = { $cell } is no time; every row needs one
 foreign-too-short =
     { $lines ->
         [one] has one line, but file.header_line = { NUMBER($header_line) }

@@ -1,5 +1,6 @@
 """Files of foreign loggers: explained by a mapping, tried on measured ones."""
 
+import re
 import tomllib
 from contextlib import suppress
 from dataclasses import replace
@@ -383,3 +384,64 @@ def test_digits_of_another_script_or_parted_by_dashes_are_no_numbers_in_a_foreig
     (tmp_path / "m.toml").write_text('[time]\ncolumn = "t"\n[[column]]\nfrom = "x"\nto = "x"\n')
     with pytest.raises(InputError, match=r"line 2: column [tx]: '[٢١٠_012]+' is not"):
         read_foreign(tmp_path / "a.csv", read_mapping(tmp_path / "m.toml"))
+
+
+TIMED = '[time]\ncolumn = "t"\nformat = "{}"\n{}\n[[column]]\nfrom = "x"\nto = "x"\n'
+
+
+def _timed(tmp_path, layout, cells, more=""):
+    (tmp_path / "a.csv").write_text("t,x\n" + "".join(f"{cell},1\n" for cell in cells))
+    return read_foreign(tmp_path / "a.csv", _mapping(tmp_path, TIMED.format(layout, more)))
+
+
+@pytest.mark.parametrize(
+    ("layout", "cell"),
+    [
+        *(("seconds", cell) for cell in ("NaN", "nan", "inf", "-inf", "1e400", "")),
+        *(("hours", cell) for cell in ("1e308", "Infinity")),
+        *(("clock", f"08:{rest}") for rest in ("00:nan", "00:inf", "61:75", "60:00", "59:60", "-1:00", "00:-1")),
+        *(("clock", cell) for cell in ("-1:00:00", f"{'9' * 400}:00:00", "1e1:00:00")),
+        ("iso", "0001-01-01T00:00:00+02:00"),
+    ],
+)
+@pytest.mark.parametrize("repeated", ["refuse", "first"])
+def test_a_time_that_no_clock_shows_is_refused_by_line(tmp_path, layout, cell, repeated):
+    first = "9999-01-01T00:00:00Z" if layout == "iso" else "08:00:00" if layout == "clock" else "0"
+    why = (
+        "is no time; every row needs one" if cell in ("NaN", "nan", "") else f"is not '{layout}'; set time.format"
+    )
+    for cells, line in (([cell, first], 2), ([first, cell], 3)):
+        with pytest.raises(InputError, match=re.escape(f"a.csv: line {line}: column t: '{cell}' {why}")):
+            _timed(tmp_path, layout, cells, f'repeated = "{repeated}"')
+
+
+def test_times_that_differ_by_less_than_a_microsecond_do_not_rise(tmp_path):
+    """The store counts microseconds: there they would be one."""
+    with pytest.raises(InputError, match=r"line 4: column t: '0\.0000012' does not rise"):
+        _timed(tmp_path, "seconds", ["0", "0.000001", "0.0000012"])
+    run = _timed(tmp_path, "seconds", ["0", "0.000001", "0.0000012", "1"], 'repeated = "first"')
+    assert run.time_s.tolist() == [0.0, 1e-6, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("layout", "cells", "expected"),
+    [
+        ("%H:%M:%S", ["23:59:59", "00:00:01", "23:00:00", "00:00:00"], [0.0, 2.0, 82801.0, 86401.0]),
+        ("%H.%M.%S;%f", ["23.59.59;5", "00.00.00;25"], [0.0, 0.75]),
+        ("%I:%M:%S %p", ["11:59:59 PM", "12:00:01 AM"], [0.0, 2.0]),
+        ("%H:%M:%S%z", ["23:59:59+0100", "00:00:01+0100"], [0.0, 2.0]),
+    ],
+)
+@pytest.mark.parametrize("zone", ["", 'zone = "Europe/Berlin"'])
+def test_a_time_of_day_passes_midnight_and_gives_no_date(tmp_path, layout, cells, expected, zone):
+    run = _timed(tmp_path, layout, cells, zone)
+    assert run.time_s.tolist() == expected
+    assert "recorded.started_utc" not in run.header
+
+
+def test_a_date_without_its_year_is_no_date(tmp_path):
+    run = _timed(tmp_path, "%d.%m. %H:%M:%S", ["04.03. 23:59:59", "05.03. 00:00:01"], 'zone = "Europe/Berlin"')
+    assert run.time_s.tolist() == [0.0, 2.0]
+    assert "recorded.started_utc" not in run.header
+    with_year = _timed(tmp_path, "%d.%m.%y %H:%M", ["04.03.26 07:00", "04.03.26 07:01"], 'zone = "Europe/Berlin"')
+    assert with_year.header["recorded.started_utc"] == datetime(2026, 3, 4, 6, tzinfo=UTC)
