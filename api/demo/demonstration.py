@@ -18,7 +18,7 @@ from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from api.demo.press import virtual_press_of
+from api.demo.press import FIRST_PANEL_S, virtual_press_of
 from api.demo.processes import FIT_S, JUDGED, KERNTEMP, SERVICES, Children, DemoPlan, ended
 from api.demo.summary import (
     PressingCheck,
@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 QUICK_S = 5.0
 """After so long a newcomer is shown what is being waited for. [s]"""
+LOADING_S = 0.6
+"""In so long the live sensor has loaded what is compiled already: 0.45 s of processor time (2026-11-30). A press
+whose first panel comes later need not wait for that. [s]"""
 COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
 NIGHT_AFTER = 14
@@ -78,6 +81,9 @@ class _Demo:
         """Which of the virtual press's pressings were found."""
         self._entered_panel: datetime | None = None
         """When it was entered what panels the press lays in, None for its own."""
+        self._first: Mapping[str, Any] = {}
+        """The first panel's header and the virtual second of its removal, as the loggers' process gives them: who
+        plays the operator need not solve that pressing before it is over."""
         self._given = self._taken = 0
         """How often the loggers were given panels, and how often they said from which pressing on."""
         self._waiting: dict[str, float] = {}
@@ -102,7 +108,6 @@ class _Demo:
         self.started = time.monotonic()
         self.children.send_to_loggers({"started_monotonic_s": self.started})
         self._before = self._recorded()
-        self.truth.cycle(0.0)  # before the operator writes down the first panel
 
     def _greet(self, loggers: Mapping[str, Any]) -> None:
         """Say what is there to look at, and when there will be more."""
@@ -137,7 +142,9 @@ class _Demo:
         answering = threading.Event()
 
         def take(line: Mapping[str, Any]) -> None:
-            answering.set()
+            if "first" in line:
+                self._first = line["first"]
+                answering.set()
             if "panel" in line:
                 self.truth.set_panels(line["from"], line["panel"])
                 self._taken += 1
@@ -159,9 +166,12 @@ class _Demo:
             time.sleep(0.05)
 
     def _all_run(self) -> bool:
-        """Whether recorder and sensor do their work."""
+        """Whether recorder and sensor do their work, or will have begun to when the first panel comes."""
         states = {name: process.status.get("state") for name, process in self.store.statuses().items()}
-        return all(states.get(name) not in (None, "starting") for name in SERVICES)
+        too_soon = {None, "starting"}
+        if LOADING_S * self.plan.speed > FIRST_PANEL_S:
+            too_soon.add("loading")
+        return all(states.get(name) not in too_soon for name in SERVICES)
 
     def watch(self) -> None:
         """Play the operator until the pressings asked for are recorded and fitted."""
@@ -246,9 +256,16 @@ class _Demo:
         if self._taken < self._given or record.run in self._noted or record.status is not RunStatus.OPEN:
             return
         self._noted.add(record.run)
-        cycle = self._cycle(record, 0.0)
-        known = {k: v for k, v in cycle.header.items() if k != "run" and record.header.get(k) != v}
+        header = self._first_header(record) or self._cycle(record, 0.0).header
+        known = {k: v for k, v in header.items() if k != "run" and record.header.get(k) != v}
         self.store.annotate_run(record.run, known, "operator")
+
+    def _first_header(self, record: RunRecord) -> Mapping[str, Any]:
+        """Return what is known of the first panel if it is a run's; nothing once panels were entered."""
+        if self._given or not self._first or self._virtual(record) >= self._first["until_s"]:
+            return {}
+        header: Mapping[str, Any] = self._first["header"]
+        return header
 
     def _finished(self, record: RunRecord) -> bool:
         if record.status is RunStatus.OPEN or any(f.run == record.run for f in self.findings):

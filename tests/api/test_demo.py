@@ -1,3 +1,4 @@
+import json
 import re
 import signal
 import socket
@@ -129,6 +130,46 @@ def test_before_the_first_pressing_loggers_answer_though_it_is_not_solved_and_th
     first = press.cycle(0.0)
     assert first.moments.inserted_s == FIRST_PANEL_S
     assert abs(first.readings["bottom_7"][0] - shown["bottom_7"]) < 3.0
+
+
+def test_the_loggers_process_gives_the_first_panel_that_the_truth_would_give_too():
+    settings = {"hide": [], "keep": 4, "seed": 3}
+    command = [sys.executable, "-m", "api.demo.press"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as loggers:
+        loggers.stdin.write(json.dumps({**settings, "speed": 1.0, "pressings": 1}) + "\n")
+        loggers.stdin.flush()
+        assert "loggers" in json.loads(loggers.stdout.readline())
+        first = json.loads(loggers.stdout.readline())["first"]
+        loggers.stdin.close()
+    cycle = virtual_press_of(settings).cycle(0.0)
+    assert first == {"header": json.loads(json.dumps(dict(cycle.header))), "until_s": cycle.end}
+
+
+def test_the_first_panel_is_written_down_before_its_pressing_is_solved_and_no_other():
+    written = {}
+    demo = _Demo(DemoPlan(speed=2.0), SimpleNamespace(), print)
+    demo.truth = virtual_press_of({"hide": [], "keep": 4, "seed": 3})
+    demo.store = SimpleNamespace(annotate_run=lambda run, known, who: written.update({run: known}))
+    demo._first = {"header": {"run": "demo-001", "panel.thickness_mm": 16.5}, "until_s": 100.0}
+    for run, at_s in (("first", 4.0), ("second", 104.0)):
+        zero = 2.0 * demo.started + at_s
+        demo._note(SimpleNamespace(run=run, status=RunStatus.OPEN, header={}, zero_monotonic_s=zero))
+        assert bool(demo.truth.cycles) is (run == "second")
+    assert written["first"] == {"panel.thickness_mm": 16.5}
+    assert written["second"]["panel.thickness_mm"] == 16.0
+
+
+@pytest.mark.parametrize(("speed", "begins"), [(1.0, True), (20.0, True), (100.0, False)])
+def test_the_press_begins_while_the_sensor_loads_unless_the_first_panel_would_come_before_it(
+    tmp_path, speed, begins
+):
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        demo = _Demo(DemoPlan(speed=speed), SimpleNamespace(), [].append)
+        demo.store = store
+        store.beat("record", {"state": "recording"})
+        for state, all_run in (("starting", False), ("loading", begins), ("running", True)):
+            store.beat("sense", {"state": state})
+            assert demo._all_run() is all_run
 
 
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):

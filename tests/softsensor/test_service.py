@@ -31,7 +31,7 @@ from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.guarded import Guarded
-from softsensor.jobs.live_service import Follower, _details
+from softsensor.jobs.live_service import Follower, _compile, _details, _status
 from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
 from softsensor.jobs.run_fits import RunFits
 from softsensor.live.sensor import LiveSensor
@@ -628,6 +628,15 @@ def test_the_fitting_worker_ends_when_its_process_is_killed(tmp_path):
         assert not is_zombie(worker)
         os.kill(one.pid, signal.SIGKILL)
     wait_until(lambda: is_zombie(worker))
+
+
+@pytest.mark.parametrize(
+    ("state", "does"), [("starting", "compiling the model"), ("loading", "loading the model")]
+)
+def test_a_sensor_says_at_once_whether_it_compiles_or_loads(state, does):
+    said = []
+    _compile([], lambda: said.append(_status([], state)["message"]))
+    assert said[0].startswith(does)
 
 
 @pytest.mark.parametrize("compiled", [True, False])
