@@ -75,6 +75,8 @@ class _Demo:
     def __init__(self, plan: DemoPlan, children: Children, show: Callable[[Message | str], None]) -> None:
         self.plan, self.children, self.show = plan, children, show
         self.started = time.monotonic()
+        self.address = ""
+        """Of the page, once it is there."""
         self.findings: list[PressingCheck] = []
         self._noted: set[str] = set()
         self._pressed: set[int] = set()
@@ -96,15 +98,27 @@ class _Demo:
         self._compiling_noted = False
 
     def start(self, ending: ExitStack) -> None:
-        """Wait for page, recorder and sensor; then let the press begin."""
+        """Let the press begin once recorder and sensor are there, and show the page's address as soon as it is."""
         plan = self.plan
         self.truth: VirtualPress = virtual_press_of({**plan.press, "keep": plan.known_cycles})
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
-        self.address = self.children.first_line("serve").split()[-1]
+        page, solved = self.children.first_line_of("serve"), self._loggers_answer()
+
+        def ready() -> bool:  # an accelerated press would run away from a sensor that compiles
+            return solved.is_set() and self._all_run()
+
+        self._wait_until(lambda: page.done() or ready(), ("serve",))
+        if early := not page.done():
+            self._begin()
+        self._wait_until(page.done, ("serve",))
+        self.address = page.result().split()[-1]
         self._greet(self.children.loggers)
-        solved = self._loggers_answer()
-        # an accelerated press would run away from a sensor that compiles
-        self._wait_until(lambda: solved.is_set() and self._all_run(), ("loggers", *SERVICES))
+        if not early:
+            self._wait_until(ready, ("loggers", *SERVICES))
+            self._begin()
+
+    def _begin(self) -> None:
+        """Let the press begin."""
         self.started = time.monotonic()
         self.children.send_to_loggers({"started_monotonic_s": self.started})
         self._before = self._recorded()
@@ -160,7 +174,7 @@ class _Demo:
             waited = time.monotonic() - began
             if waited > COMPILE_S:
                 raise WorkFailed(say("demo-no-sign-of-life", processes=tuple(processes), seconds=COMPILE_S))
-            if waited > QUICK_S and not self._compiling_noted:
+            if waited > QUICK_S and self.address and not self._compiling_noted:
                 self._compiling_noted = True
                 self.show(say("demo-compiling"))
             time.sleep(0.05)

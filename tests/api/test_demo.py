@@ -4,6 +4,8 @@ import signal
 import socket
 import subprocess
 import sys
+from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -170,6 +172,37 @@ def test_the_press_begins_while_the_sensor_loads_unless_the_first_panel_would_co
         for state, all_run in (("starting", False), ("loading", begins), ("running", True)):
             store.beat("sense", {"state": state})
             assert demo._all_run() is all_run
+
+
+@pytest.mark.parametrize(("sensor", "first"), [("running", "press"), ("starting", "page")])
+def test_neither_the_page_waits_for_a_sensor_that_compiles_nor_the_press_for_the_page(tmp_path, sensor, first):
+    happened, page = [], Future()
+    with ExitStack() as ending, open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        store.beat("record", {"state": "recording", "presses": [], "acknowledged": 0})
+        store.beat("sense", {"state": sensor})
+
+        def come():
+            if not page.done():
+                page.set_result("Kerntemp is at http://127.0.0.1:8080/")
+
+        def show(_line):
+            happened.append("page")
+            store.beat("sense", {"state": "running"})
+
+        def begin(_message):
+            happened.append("press")
+            come()
+
+        if first == "page":
+            come()
+        children = SimpleNamespace(
+            first_line_of=lambda _: page, send_to_loggers=begin, loggers={"loggers": []}, check=lambda: None,
+            listen_to_loggers=lambda take: take({"first": {"header": {}, "until_s": 1.0}}),
+        )  # fmt: skip
+        _Demo(DemoPlan(folder=tmp_path), children, show).start(ending)
+    assert happened[0] == first
+    assert happened.count("press") == 1
+    assert "page" in happened
 
 
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
