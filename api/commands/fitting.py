@@ -347,16 +347,9 @@ def _lines(found: CampaignFit) -> Iterator[str]:
 
 def remark_lines(runs: Sequence[RunFit]) -> Iterator[str]:
     """Yield what is to be remarked on runs; what several have in common takes one line, and one run for all."""
-    alike: dict[tuple[str, ...], list[tuple[str, Message]]] = {}
-    for run in runs:
-        for remark in run.warnings:
-            about = (str(remark.arguments[key]) for key in ("name", "column") if key in remark.arguments)
-            alike.setdefault((remark.code, *about), []).append((run.run, remark))
-    for same in alike.values():
-        (first, remark), count = same[0], len({name for name, _ in same})
-        if count == 1:
-            yield from (f"{name}: {in_words(one)}" for name, one in same)
-            continue
-        yield in_words(say("terminal-fit-remark-of", count=count, total=len(runs), run=first, remark=remark))
-    if any(len({name for name, _ in same}) > 1 for same in alike.values()):
+    from softsensor.fitting.remarks import remarks_together
+
+    remarks = tuple(remarks_together({run.run: run.warnings for run in runs}))
+    yield from map(in_words, remarks)
+    if any(remark.code == "terminal-fit-remark-of" for remark in remarks):
         yield in_words(say("terminal-fit-remarks-kept"))

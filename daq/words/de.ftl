@@ -1183,7 +1183,6 @@ advise-source-platens = die wahre Temperatur der Heizplatten (kalibrieren)
 advise-source-sorption = die Isotherme der Platte (ein Sorptionsversuch)
 plan-best = Am besten: { $settings }. { $prospect }
 plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
-plan-more = ... und { $count } weitere
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = Eine Pressung bringt es auf ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-not-described = Das Modell beschreibt diese Pressungen nicht; was eine weitere Pressung brächte, ist nicht vorherzusagen.

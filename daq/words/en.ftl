@@ -1166,7 +1166,6 @@ advise-source-platens = the platens' true temperature (calibrate them)
 advise-source-sorption = the board's isotherm (a sorption test)
 plan-best = Best: { $settings }. { $prospect }
 plan-best-is-usual = Best: the usual settings. { $prospect }
-plan-more = ... and { $count } more
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = One brings it to ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-not-described = The model does not describe these runs, so what a further pressing would bring cannot be forecast.

@@ -16,7 +16,7 @@ from daq.words import say
 from daq.words.message import chosen
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
-from softsensor.face.showing import lines_html, shown, table_html
+from softsensor.face.showing import lines_html, printed, shown, table_html
 from softsensor.planning.advise import DEFAULT_RANGES, PRESSURE, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import ADVISED, Task
@@ -61,7 +61,7 @@ class AdviceResult:
 
     def __repr__(self) -> str:
         """Say the answer, what it costs, and what to measure to press shorter."""
-        return "\n".join(map(str, advice_messages(self.advised)))
+        return printed([[line] for line in advice_messages(self.advised)])
 
     def _repr_html_(self) -> str:
         return lines_html(advice_messages(self.advised)) + table_html(self.frame())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
@@ -19,7 +18,7 @@ from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_messages
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.face.inputs import read_press, runs_of
-from softsensor.face.showing import UNKNOWN, WIDTH, shown, table_html
+from softsensor.face.showing import UNKNOWN, WIDTH, head_html, lines_html, printed, shown, table_html
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import diagnosed_model
 
@@ -82,22 +81,22 @@ class DiagnosisResult:
         return json.dumps(self.content)
 
     def __repr__(self) -> str:
-        """Show verdict, causes, error before and after, and what to measure next."""
+        """Show verdict, causes, error before and after, what to measure next, and what is to be known besides."""
         head, *rest = self._lines()
-        digits: dict[str, Any] = {"float_format": "%.4g", "na_rep": UNKNOWN, "line_width": WIDTH}
+        digits: dict[str, Any] = {"float_format": "%.4g", "na_rep": UNKNOWN, "line_width": WIDTH, "max_rows": 12}
         table = [self.frame().to_string(**digits)] if len(self.frame()) else []
-        return "\n".join([fill(head, WIDTH), *table, *(fill(line, WIDTH) for line in rest)])
+        return printed([[line] for line in rest], above="\n".join([fill(head, WIDTH), *table]))
 
     def _repr_html_(self) -> str:
-        head, *rest = (html.escape(line) for line in self._lines())
+        head, *rest = self._lines()
         table = table_html(self.frame()) if len(self.frame()) else ""
-        return f"<p><b>{head}</b></p>{table}" + "".join(f"<p>{line}</p>" for line in rest)
+        return head_html(head) + table + lines_html(rest)
 
     def _lines(self) -> list[str]:
         found = self.diagnosis
         residual = say("diagnosed-residual", base=found.base.rmse_K, extended=found.extended.rmse_K)
         verdict = " ".join(map(str, verdict_messages(found)))
-        return [f"{self.verdict}: {verdict}", str(residual), str(found.next_measurement)]
+        return [f"{self.verdict}: {verdict}", *map(str, (residual, found.next_measurement, *found.warnings))]
 
 
 def diagnose(

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from daq.records import with_frozen_fields
-from daq.words import say
+from daq.words import Message, say
 from daq.words.message import chosen
 from softsensor.face.inputs import read_press, runs_of
-from softsensor.face.showing import UNKNOWN, about, shown, table_html
+from softsensor.face.showing import UNKNOWN, about, lines_html, printed, shown, table_html
 from softsensor.fitting.campaign import CampaignFit
-from softsensor.fitting.result import Coefficient, rounded
+from softsensor.fitting.identifiability import is_verdict_on
+from softsensor.fitting.remarks import remarks_together
+from softsensor.fitting.result import rounded
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
 
@@ -67,37 +69,56 @@ class FitResult:
         return json.dumps(self.campaign.as_json())
 
     def __repr__(self) -> str:
-        """Show what is known from each run, to the digits it is known to; of several runs mean and scatter."""
+        """Show what is known from each run, to the digits it is known to; of several runs mean and scatter.
+
+        Then which runs the model does not describe, and what else is to be known of them.
+        """
+        table = self._table(_digits).to_string(max_rows=12)
+        return printed([[remark] for remark in self._remarks()], above=table)
+
+    def _repr_html_(self) -> str:
+        return table_html(self._table(_with_ends)) + lines_html(self._remarks())
+
+    def _table(self, known: Callable[[float, tuple[float, float]], str]) -> pd.DataFrame:
+        """Return what is shown of each run and of all together; `known` writes a value with its interval."""
         import pandas as pd
 
         over = self.campaign.coefficients
-        rows = {
-            run.run: {n: _known(run.coefficients[n]) for n in over} | {"rmse_K": f"{run.rmse_K:.2f}"}
-            for run in self.campaign.runs
-        }
+        rows = {}
+        for run in self.campaign.runs:
+            found = {name: run.coefficients[name] for name in over}
+            cells = {n: known(c.value, c.ci95) if c.identifiable else UNKNOWN for n, c in found.items()}
+            rows[run.run] = {**cells, "rmse_K": f"{run.rmse_K:.2f}"}
         if len(rows) > 1:
             rows[str(say("terminal-fit-mean"))] = {
-                n: _digits(c.mean, c.ci95) if c.runs else UNKNOWN for n, c in over.items()
+                n: known(c.mean, c.ci95) if c.runs else UNKNOWN for n, c in over.items()
             }
             rows[str(say("terminal-fit-sd"))] = {
                 n: f"{c.sd:.2g}" if math.isfinite(c.sd) else UNKNOWN for n, c in over.items()
             }
-        table = pd.DataFrame.from_dict(rows, orient="index").fillna("")
+        return pd.DataFrame.from_dict(rows, orient="index").fillna("")
+
+    def _remarks(self) -> list[Message]:
+        """Return what is to be known besides: the table shows verdicts on single coefficients itself."""
         short = self.campaign.shortfall
-        return "\n".join([table.to_string(max_rows=12), *([str(short)] if short else [])])
-
-    def _repr_html_(self) -> str:
-        table = self.frame()
-        table.loc[~table["identifiable"], ["value", "sd", "low", "high"]] = math.nan
-        return table_html(table)
-
-
-def _known(found: Coefficient) -> str:
-    return _digits(found.value, found.ci95) if found.identifiable else UNKNOWN
+        own = {
+            run.run: [
+                one
+                for one in run.warnings
+                if one.code != "fit-not-described-check" and not is_verdict_on(one, run.coefficients)
+            ]
+            for run in self.campaign.runs
+        }
+        return [*([short] if short else []), *remarks_together(own)]
 
 
 def _digits(value: float, ends: tuple[float, float]) -> str:
     return f"{rounded(value, ends):.4g}"
+
+
+def _with_ends(value: float, ends: tuple[float, float]) -> str:
+    low, high = (_digits(end, ends) for end in ends)
+    return f"{_digits(value, ends)} ({low} … {high})"
 
 
 def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = False) -> FitResult:

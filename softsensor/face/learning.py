@@ -18,7 +18,7 @@ from daq.words.message import chosen
 from softsensor.face.inputs import read_press, resin_of, runs_of
 from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
-from softsensor.face.showing import lines_html, shown
+from softsensor.face.showing import lines_html, printed, shown
 from softsensor.opening.blisters import SteamLimit as Learned
 from softsensor.opening.blisters import believed_limit, learn_limit, limit_messages
 from softsensor.opening.limits import Normal
@@ -60,6 +60,10 @@ class SteamLimit(Learned):
     def to_json(self) -> str:
         """Return what ``blisters --json`` writes."""
         return json.dumps(self.as_json())
+
+    def __repr__(self) -> str:
+        """Say what half of the panels bear, and what that rests on."""
+        return printed([[line] for line in limit_messages(self)])
 
     def _repr_html_(self) -> str:
         return lines_html(limit_messages(self))

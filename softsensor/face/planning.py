@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from daq.given import keys_of
-from daq.printed import LINES
-from daq.words import say
 from daq.words.message import chosen
 from softsensor.face.diagnosing import DiagnosisResult, diagnose
 from softsensor.face.inputs import read_press
-from softsensor.face.showing import lines_html, shown
+from softsensor.face.showing import lines_html, printed, shown
 from softsensor.planning.open_points import PointKind
 from softsensor.planning.plan import PressingPlan
 from softsensor.planning.plan import plan as plan_after
-from softsensor.planning.summary import best_message, plan_messages, point_message
+from softsensor.planning.summary import best_message, plan_messages, point_message, standing_messages
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,12 +75,8 @@ class PlanResult:
 
     def __repr__(self) -> str:
         """Say what is open, and the best pressing for it; the notebook's view and the table hold the others."""
-        points, shown_points = self.planned.points, LINES // 3  # a row for the point and two for its pressing
-        lines = [
-            one for advice in points[:shown_points] for one in (point_message(advice.point), best_message(advice))
-        ]
-        more = [say("plan-more", count=len(points) - shown_points)] if len(points) > shown_points else []
-        return "\n".join(map(str, [*(lines or plan_messages(self.planned)), *more]))
+        points = [(point_message(advice.point), best_message(advice)) for advice in self.planned.points]
+        return printed([*([one] for one in standing_messages(self.planned)), *points])
 
     def _repr_html_(self) -> str:
         return lines_html(plan_messages(self.planned))

@@ -11,7 +11,7 @@ from daq.given import names_of
 from daq.press.resin_file import Resin
 from softsensor.face.inputs import read_press, resin_of, run_for
 from softsensor.face.models import model_for
-from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
+from softsensor.face.showing import about, axes_over_time, head_html, lists, shown, table_html, table_text
 from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.live.replay import Replay, replay
 
@@ -53,12 +53,10 @@ class Prediction:
 
     def __repr__(self) -> str:
         """Show the first and the last scans."""
-        return (
-            f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=8, float_format='%.2f', na_rep=UNKNOWN)}"
-        )
+        return f"{self.replayed.run.name}\n{table_text(self.frame(), '%.2f')}"
 
     def _repr_html_(self) -> str:
-        return table_html(self.frame(), "%.2f")
+        return head_html(self.replayed.run.name) + table_html(self.frame(), "%.2f")
 
 
 def predict(

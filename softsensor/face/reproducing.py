@@ -13,7 +13,7 @@ from daq.records import InputError, Moments, Run
 from daq.tables import at
 from daq.words import say
 from daq.words.message import chosen
-from softsensor.face.showing import lines_html, shown, table_html
+from softsensor.face.showing import lines_html, printed, shown, table_html
 from softsensor.fitting.paper.procedures import EVERY_RUN_SHOWS
 from softsensor.fitting.paper.procedures import Reproduction as Compared
 from softsensor.fitting.paper.procedures import reproduce as compare
@@ -46,7 +46,7 @@ class Reproduction(Compared):
 
     def __repr__(self) -> str:
         """Show the combinations, and what the two curves say."""
-        return f"{self.frame().to_string(float_format='%.3g')}\n{self.message}"
+        return printed([[self.message]], above=self.frame().to_string(float_format="%.3g"))
 
     def _repr_html_(self) -> str:
         return table_html(self.frame(), "%.3g") + lines_html([self.message])

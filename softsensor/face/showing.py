@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from daq.printed import LINES
 from daq.words import Message, say
 
 if TYPE_CHECKING:
@@ -29,9 +31,38 @@ def table_html(frame: pd.DataFrame, digits: str = "%.4g") -> str:
     return str(frame.to_html(float_format=digits, max_rows=24, na_rep=UNKNOWN))
 
 
-def lines_html(lines: Iterable[Message]) -> str:
+def table_text(frame: pd.DataFrame, digits: str) -> str:
+    """Return a table's first and last rows as they print, columns beyond the width below one another."""
+    return str(frame.to_string(max_rows=8, float_format=digits, na_rep=UNKNOWN, line_width=WIDTH))
+
+
+SCREEN = LINES + 4
+"""Lines of what prints: a terminal's 25 but for that of its prompt."""
+
+
+def lines_html(lines: Iterable[Message | str]) -> str:
     """Return sentences for a notebook, a paragraph each."""
     return "".join(f"<p>{html.escape(str(line))}</p>" for line in lines)
+
+
+def head_html(line: Message | str) -> str:
+    """Return what a result says first, for a notebook."""
+    return f"<p><b>{html.escape(str(line))}</b></p>"
+
+
+def printed(sentences: Iterable[Sequence[Message | str]], above: str = "") -> str:
+    """Return sentences as they print below a text: wrapped, and as many as the screen holds.
+
+    Sentences of one group stand together or not at all; groups that are left out are counted.
+    """
+    groups = [[row for line in group for row in wrap(str(line), WIDTH)] for group in sentences]
+    lines = above.splitlines()
+    for number, rows in enumerate(groups):
+        last = number == len(groups) - 1
+        if number and len(lines) + len(rows) + (not last) > SCREEN:
+            return "\n".join([*lines, str(say("printed-more", count=len(groups) - number))])
+        lines += rows
+    return "\n".join(lines)
 
 
 def about(run: Run, frame: pd.DataFrame) -> pd.DataFrame:

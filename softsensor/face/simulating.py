@@ -11,7 +11,7 @@ from daq.press.press_file import press_for_run
 from daq.records import Run, with_frozen_fields
 from softsensor.face.inputs import read_press, run_for
 from softsensor.face.models import model_for
-from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
+from softsensor.face.showing import about, axes_over_time, head_html, lists, shown, table_html, table_text
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.jobs.model_files import coefficients_of
@@ -56,13 +56,14 @@ class Simulation:
 
     def __repr__(self) -> str:
         """Show the error at each place, and the first and last rows."""
-        errors = ", ".join(f"{place} {value:.2f} K" for place, value in self.simulated.rmse.items())
-        return (
-            f"{self.run.name}: {errors}\n{self.frame().to_string(max_rows=8, float_format='%.2f', na_rep=UNKNOWN)}"
-        )
+        return f"{self._head()}\n{table_text(self.frame(), '%.2f')}"
 
     def _repr_html_(self) -> str:
-        return table_html(self.frame(), "%.2f")
+        return head_html(self._head()) + table_html(self.frame(), "%.2f")
+
+    def _head(self) -> str:
+        errors = ", ".join(f"{place} {value:.2f} K" for place, value in self.simulated.rmse.items())
+        return f"{self.run.name}: {errors}" if errors else self.run.name
 
 
 def simulate(

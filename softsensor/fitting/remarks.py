@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+
 import numpy as np
 
 from daq.press.moments import BEFORE_S
 from daq.press.press_file import InitialKind
 from daq.records import Moments
+from daq.tables import at
 from daq.words import Message, say, spoken
 from softsensor.fitting.unknowns import gaps_at_moments
 from softsensor.heat.case import Case
@@ -84,3 +87,18 @@ def lost_insertion(case: Case, signals: Signals) -> Message | None:
     before = lower.mean[(t <= gap.start) & np.isfinite(lower.mean)]
     hotter = float(np.max(case.outside[0])) - case.run.ambient_temperature
     return lost if len(before) > 1 and np.ptp(before) < COLD_SHARE * hotter else None
+
+
+def remarks_together(remarked: Mapping[str, Sequence[Message]]) -> Iterator[Message]:
+    """Yield what is remarked on runs, by name: of what several have in common, one run's for all of them."""
+    alike: dict[tuple[str, ...], list[tuple[str, Message]]] = {}
+    for run, found in remarked.items():
+        for remark in found:
+            about = (str(remark.arguments[key]) for key in ("name", "column") if key in remark.arguments)
+            alike.setdefault((remark.code, *about), []).append((run, remark))
+    for same in alike.values():
+        (first, remark), count = same[0], len({name for name, _ in same})
+        if count == 1:
+            yield from (at(name, one) for name, one in same)
+        else:
+            yield say("terminal-fit-remark-of", count=count, total=len(remarked), run=first, remark=remark)

@@ -2,6 +2,7 @@
 
 import ast
 import doctest
+import html
 import inspect
 import json
 import math
@@ -38,7 +39,7 @@ from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
 from softsensor.planning.summary import point_message
-from tests.screens import ROWS, flooding, rows_of
+from tests.screens import COLUMNS, ROWS, flooding, rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
@@ -854,6 +855,82 @@ def test_every_public_result_is_a_table_a_figure_a_screen_a_notebooks_view_and_j
         assert json.loads(result.to_json(), parse_constant=no_number)
     assert "<table" in results["advise"]._repr_html_()
     assert max(map(len, repr(results["diagnose"]).splitlines())) <= 100
+
+
+def words_of(view):
+    """Return what stands in a notebook's view or a printed text, without tags and the space between words."""
+    return " ".join(html.unescape(re.sub("<[^>]+>", " ", view) if "<" in view else view).split())
+
+
+def in_fahrenheit():
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    changed = table * 1.8 + 32.0
+    changed.attrs = table.attrs
+    return changed
+
+
+def with_a_dead_channel():
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    return table.assign(top_3=20.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "warned"),
+    [
+        (in_fahrenheit, {"fit-start-before-insertion", "fit-not-converged"}),
+        (with_a_dead_channel, {"channel-loose"}),
+    ],
+)
+def test_what_is_to_be_known_of_a_fit_stands_in_what_it_prints_and_in_the_notebook(given, warned):
+    found = softsensor.fit(given(), LAB)
+    (run,) = found.campaign.runs
+    verdicts = [f"{name} is" for name, c in run.coefficients.items() if not c.identifiable]
+    about_it = [one for one in run.warnings if not str(one).startswith(tuple(verdicts))]
+    assert warned <= {one.code for one in about_it}
+    for view in (repr(found), found._repr_html_()):
+        assert [one.code for one in about_it if " ".join(str(one).split()) not in words_of(view)] == []
+        assert not any(verdict in words_of(view) for verdict in verdicts)  # a dash in the table says it
+    assert rows_of(repr(found)) <= ROWS
+    assert max(map(len, repr(found).splitlines())) <= COLUMNS
+
+
+def test_a_run_that_the_model_does_not_describe_is_one_in_the_notebook_too(fitted):
+    first, *rest = fitted.campaign.runs
+    lost = replace(first, misfit=say("fit-misfit-span", rmse=12.0, span=150.0))
+    found = softsensor.FitResult(replace(fitted.campaign, runs=(lost, *rest)))
+    for view in (repr(found), found._repr_html_()):
+        assert words_of(str(found.campaign.shortfall)) in words_of(view)
+
+
+def test_what_is_to_be_known_of_a_diagnosis_stands_in_what_it_prints_and_in_the_notebook():
+    found = softsensor.diagnose([with_a_dead_channel(), *SAMPLES[4:6]], LAB, effects="edge_loss")
+    assert any("top_3" in str(one) for one in found.diagnosis.warnings)
+    for view in (repr(found), found._repr_html_()):
+        assert [one for one in found.diagnosis.warnings if words_of(str(one)) not in words_of(view)] == []
+    assert rows_of(repr(found)) <= ROWS
+
+
+def test_a_fit_of_many_runs_with_much_to_be_known_prints_on_one_screen(fitted):
+    run = fitted.campaign.runs[0]
+    remarks = [say("channel-empty", column=f"top_{number}") for number in range(30)]
+    many = tuple(replace(run, run=f"r{i}", warnings=(*run.warnings, *remarks[i : i + 2])) for i in range(30))
+    found = softsensor.FitResult(replace(fitted.campaign, runs=many))
+    assert rows_of(repr(found)) <= ROWS
+    assert re.search(r"\.\.\. and \d+ more$", repr(found))
+    assert str(remarks[0]) in repr(found)
+    assert all(str(remark) in words_of(found._repr_html_()) for remark in remarks)
+
+
+def test_a_notebook_shows_what_the_text_does(results):
+    fitted = results["fit"]
+    five = tuple(replace(fitted.campaign.runs[0], run=f"r{i}") for i in range(5))
+    shown = {**results, "fit of five": softsensor.FitResult(replace(fitted.campaign, runs=five))}
+    resin = LAB.parents[1] / "resins/melamine_formaldehyde.toml"
+    shown["with a resin"] = softsensor.predict(SHORT, LAB, fitted, resin=resin)
+    for name, result in shown.items():
+        view = words_of(result._repr_html_()).split()
+        assert [word for word in repr(result).split() if word not in (*view, "...", "\\")] == [], name
+        assert max(map(len, repr(result).splitlines())) <= 100, name
 
 
 def test_an_estimate_is_json_as_its_row_of_the_prediction(results):
