@@ -57,6 +57,7 @@ from pydantic import ValidationError
 from daq.files.mapped_times import Row, plain, rows_in_order, start_of
 from daq.files.mapping_tables import ColumnTable, ComputedTable, FileTable, HeaderFrom, Mapped
 from daq.press.header import check_header
+from daq.press.press_file import SD
 from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run, matches
 from daq.tables import at, explained, load_toml, reason_of
 from daq.thermocouple import celsius_of
@@ -74,6 +75,9 @@ def read_mapping(path: Path) -> Mapped:
         raise InputError(at(path, explained(error, Mapped))) from error
     for problem in _contradictions(mapped):
         raise InputError(at(path, problem))
+    for header in (mapped.header, *(variant.header for variant in mapped.variant)):
+        check_header(header, path)
+    check_header({key.removesuffix(SD): None for key in mapped.header_from}, path)
     return mapped
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
+from daq.press.header import flat_header, flat_if_tables
 from daq.words import say
 
 
@@ -95,11 +96,32 @@ class HeaderFrom(_MappingTable):
     row: Literal["first", "last"] = "first"
 
 
+def _flat_sources(tables: Any) -> Any:
+    """Return by dotted key what `[header_from]` holds, of which each table of tables is a part of a key."""
+    if not isinstance(tables, Mapping):
+        return tables
+    wrapped = {key: _wrapped(value) for key, value in tables.items()}
+    return {key: value[0] if isinstance(value, tuple) else value for key, value in flat_header(wrapped).items()}
+
+
+def _wrapped(value: Any) -> Any:
+    """Return a table of tables as such with each table of values in a tuple, which nothing looks into."""
+    if not isinstance(value, Mapping):
+        return value
+    if value and all(isinstance(one, Mapping) for one in value.values()):
+        return {key: _wrapped(one) for key, one in value.items()}
+    return (value,)
+
+
+Header: TypeAlias = Annotated[Mapping[str, Any], BeforeValidator(flat_if_tables)]
+"""Keys of a run's header, also where an unquoted dotted key made tables of them."""
+
+
 class Variant(_MappingTable):
     """``[[variant]]``: header keys for files whose name matches."""
 
     match: str
-    header: Mapping[str, Any]
+    header: Header
     of: str = ""
     """What it answers; a file that matches two answers to one question is refused."""
 
@@ -111,8 +133,8 @@ class Mapped(_MappingTable):
     time: TimeTable
     column: tuple[ColumnTable, ...] = Field(min_length=1)
     computed: tuple[ComputedTable, ...] = ()
-    header: Mapping[str, Any] = Field(default_factory=dict)
-    header_from: Mapping[str, HeaderFrom] = Field(default_factory=dict)
+    header: Header = Field(default_factory=dict)
+    header_from: Annotated[Mapping[str, HeaderFrom], BeforeValidator(_flat_sources)] = Field(default_factory=dict)
     variant: tuple[Variant, ...] = ()
     required_variants: tuple[str, ...] = ()
     """Questions (`Variant.of`) that a file's name has to answer."""

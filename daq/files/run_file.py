@@ -39,7 +39,7 @@ from daq.files.run_rows import (
     unescaped,
     utf8_line,
 )
-from daq.press.header import check_header
+from daq.press.header import check_header, flat_header, flat_keys
 from daq.records import Array, InputError, Run
 from daq.tables import LARGEST_BYTES, at, read_toml, reason_of
 from daq.words import say, spoken
@@ -108,7 +108,7 @@ def write_run(run: Run, path: Path) -> None:
         raise InputError(at(path, say("run-column-length", column=odd[0])))
     check_rows(str(path), Rows(dict(zip(names, columns, strict=True)), {}))
     if path.suffix.lower() in (".parquet", ".pq"):
-        metadata = {key: toml_value(value) for key, value in flat_keys(header)}
+        metadata = {key: toml_value(value) for key, value in flat_keys(header) if value is not None}
         fields = [pa.field(n, pa.float64()) for n in names] + [pa.field(n, pa.string()) for n in run.texts]
         arrays = [pa.array(c, from_pandas=True) for c in columns] + [pa.array(t) for t in run.texts.values()]
         table = pa.table(arrays, schema=pa.schema(fields, metadata=metadata))
@@ -151,15 +151,6 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def flat_keys(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Walk nested tables as dotted keys; None is left out."""
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from flat_keys(value, f"{prefix}{key}.")
-        elif value is not None:
-            yield f"{prefix}{key}", value
-
-
 def _csv_pieces(
     header: Mapping[str, Any],
     names: Sequence[str],
@@ -167,7 +158,8 @@ def _csv_pieces(
     texts: Mapping[str, tuple[str, ...]],
 ) -> Iterator[str]:
     """Yield the text of a run file, some rows at a time."""
-    for key, value in flat_keys(header):
+    written = ((key, value) for key, value in flat_keys(header) if value is not None)
+    for key, value in written:
         yield f"# {_AFTER_COMMA.sub(_in_digits, toml_line(key, value))}\n"
     yield ",".join(csv_cell(name) for name in (*names, *texts)) + "\n"
     for start in range(0, len(columns[0]), _ROWS_AT_ONCE):
@@ -257,7 +249,7 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             if is_archived(file):
                 return _read_archived(path, file)
-            header = _parquet_header(file.schema_arrow)
+            header = _parquet_header(path, file.schema_arrow)
             time = _time_column(path, file.schema_arrow)
             names = _parquet_channels(path, file.schema_arrow, time)
             if not file.metadata.num_rows:
@@ -296,11 +288,12 @@ def _read_archived(path: Path, file: pq.ParquetFile) -> Run:
     return _run(path, header, Rows(table, texts))
 
 
-def _parquet_header(schema: pa.Schema) -> dict[str, Any]:
+def _parquet_header(path: Path, schema: pa.Schema) -> dict[str, Any]:
     metadata = {k.decode(): v.decode() for k, v in (schema.metadata or {}).items()}
     attrs = _json_object(metadata.pop(_PANDAS_ATTRS, ""))
     own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
-    return from_json(attrs) | {k: _metadata_value(v) for k, v in own.items()}
+    header = {k: _metadata_value(v) for k, v in own.items()}
+    return from_json(flat_header(attrs, path)) | flat_header(header, path)
 
 
 def _time_column(path: Path, schema: pa.Schema) -> str:

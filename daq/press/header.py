@@ -80,6 +80,43 @@ _RECKONED = ("panel.", "ambient.", "setting.")
 _ROOTS = ("panel", "ambient", "setting", *_TABLES)
 
 
+def flat_keys(tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Walk nested tables as dotted keys, which are what a header has.
+
+    >>> dict(flat_keys({"run": "a", "panel": {"material": "MDF", "thickness_mm": 16.0}}))
+    {'run': 'a', 'panel.material': 'MDF', 'panel.thickness_mm': 16.0}
+    """
+    waiting = [(str(key), value) for key, value in tree.items()][::-1]
+    while waiting:
+        key, value = waiting.pop()
+        if isinstance(value, Mapping):
+            waiting += [(f"{key}.{one}", inner) for one, inner in value.items()][::-1]
+        else:
+            yield key, value
+
+
+def flat_header(tree: Mapping[str, Any], place: object = None) -> dict[str, Any]:
+    """Return a header's keys, also those that were given as tables.
+
+    Raises
+    ------
+    InputError
+        For a key that is given in both ways, naming `place` where there is one.
+    """
+    header: dict[str, Any] = {}
+    for key, value in flat_keys(tree):
+        if key in header:
+            problem = say("header-key-twice", key=key)
+            raise InputError(problem if place is None else at(place, problem))
+        header[key] = value
+    return header
+
+
+def flat_if_tables(given: Any) -> Any:
+    """Return what may be a header as `flat_header` does, anything else as it is, for others to refuse."""
+    return flat_header(given) if isinstance(given, Mapping) else given
+
+
 def check_header(header: Mapping[str, Any], place: object) -> None:
     """Refuse a header whose numbers cannot be, or whose keys are mistyped.
 

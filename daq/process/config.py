@@ -30,11 +30,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from daq.address import SECRET, Address, text_without
 from daq.drivers.settings import LoggerSettings
-from daq.press.header import check_header
+from daq.press.header import check_header, flat_if_tables
 from daq.press.press_file import BoundaryKind, Press, overridden, read_press
 from daq.press.resin_file import read_resin
 from daq.press.wires import CLOSED, Wires
@@ -102,7 +102,7 @@ class PressSettings(_Table):
     """A run that long is ended: the removal was missed."""
     limit_switch: str | None = Field(default=None, min_length=1)
     """Column of a limit switch, 1 while the press is closed. None: what the press file says."""
-    header: Mapping[str, HeaderValue] = Field(default_factory=dict)
+    header: Annotated[Mapping[str, HeaderValue], BeforeValidator(flat_if_tables)] = Field(default_factory=dict)
     """Header keys every run of this press begins with: panel, ambient, settings."""
     logger: tuple[LoggerSettings, ...] = Field(min_length=1)
 

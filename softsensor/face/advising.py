@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.given import keys_of, number_of, warn
-from daq.press.header import USUAL_PANEL, check_header, doubts
+from daq.press.header import USUAL_PANEL, check_header, doubts, flat_header
 from daq.press.resin_file import Resin
 from daq.records import ROOM_C, InputError
 from daq.words import say
@@ -132,7 +132,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
     wanted = limits_of(loaded, keys_of(limits, "given-no-limits"))
     settable = keys_of(ranges, "given-no-ranges")
     allowed = given_ranges(settable, DEFAULT_RANGES)
-    given = keys_of(panel, "given-no-header")
+    given = flat_header(keys_of(panel, "given-no-header"))
     check_header(given, ADVISED)
     for doubt in doubts(given):
         warn(doubt)

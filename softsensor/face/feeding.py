@@ -13,7 +13,7 @@ from daq.files.legible import of_numbers
 from daq.files.qualities import QUALITY, faults_of, is_usable
 from daq.files.run_rows import CLOSED, at_column
 from daq.given import keys_of, reading_of, refused, warn
-from daq.press.header import check_header, doubts
+from daq.press.header import check_header, doubts, flat_header
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, in_short, on_screen
 from daq.records import InputError, matches
@@ -70,7 +70,8 @@ class LiveSensor(ScanSensor):
     ) -> None:
         if header is None:
             raise refused(header, "given-no-header")
-        check_header(keys_of(header, "given-no-header"), "LiveSensor")
+        header = flat_header(keys_of(header, "given-no-header"))
+        check_header(header, "LiveSensor")
         for doubt in doubts(header):
             warn(doubt)
         compile_for(WorkKind.LIVE)

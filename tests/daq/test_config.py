@@ -51,6 +51,15 @@ def test_a_configuration_gives_paths_beside_itself_and_columns_in_order(folder):
         config.press_named("x")
 
 
+def test_unquoted_dotted_keys_of_a_configured_header_are_its_keys(folder):
+    path = folder / "kerntemp.toml"
+    quoted = 'header = { "panel.material" = "MDF", "panel.thickness_mm" = 16.0 }'
+    plain = 'header.panel.material = "MDF"\nheader.panel.thickness_mm = 16.0'
+    assert quoted in GOOD
+    path.write_text(GOOD.replace(quoted, plain))
+    assert load_config(path).press[0].header == {"panel.material": "MDF", "panel.thickness_mm": 16.0}
+
+
 def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(folder):
     text = GOOD.replace('file = "lab.toml"', 'file = "lab.toml"\nresin = "own.toml"')
     (folder / "kerntemp.toml").write_text(text)

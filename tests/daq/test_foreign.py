@@ -445,3 +445,68 @@ def test_a_date_without_its_year_is_no_date(tmp_path):
     assert "recorded.started_utc" not in run.header
     with_year = _timed(tmp_path, "%d.%m.%y %H:%M", ["04.03.26 07:00", "04.03.26 07:01"], 'zone = "Europe/Berlin"')
     assert with_year.header["recorded.started_utc"] == datetime(2026, 3, 4, 6, tzinfo=UTC)
+
+
+NESTED = """
+[time]
+column = "t"
+[[column]]
+from = "x"
+to = "top_1"
+[header]
+panel.density_kg_m3 = 760.0
+panel.conductivity_W_mK = [[20.0, 0.11], [100.0, 0.13]]
+"panel.thickness_mm" = 12.0
+[header_from.panel.initial_temperature_C]
+column = "top_1"
+[[variant]]
+match = "*.csv"
+header.panel.material = "pine"
+header.boundary.top.incident_W_m2 = 4e4
+"""
+
+
+def test_unquoted_dotted_keys_of_a_mapping_are_the_keys_of_a_header(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x\n0,21.5\n1,22\n")
+    run = read_foreign(tmp_path / "a.csv", _mapping(tmp_path, NESTED))
+    assert run.header == {
+        "run": "a",
+        "panel.density_kg_m3": 760.0,
+        "panel.conductivity_W_mK": [[20.0, 0.11], [100.0, 0.13]],
+        "panel.thickness_mm": 12.0,
+        "panel.material": "pine",
+        "boundary.top.incident_W_m2": 4e4,
+        "panel.initial_temperature_C": 21.5,
+    }
+    with pytest.raises(
+        InputError, match=r"m\.toml: header: header key panel\.thickness_mm is given twice; keep one"
+    ):
+        _mapping(tmp_path, NESTED.replace("[header]", "[header]\npanel.thickness_mm = 11.0", 1))
+    twice = '[header_from."panel.initial_temperature_C"]\ncolumn = "top_1"\n[[variant]]'
+    with pytest.raises(InputError, match=r"m\.toml: header_from: .* panel\.initial_temperature_C is given twice"):
+        _mapping(tmp_path, NESTED.replace("[[variant]]", twice))
+    with pytest.raises(InputError, match=r"m\.toml: header_from\.panel\.initial_temperature_C\.rows = 'last'"):
+        _mapping(tmp_path, NESTED.replace('column = "top_1"', 'column = "top_1"\nrows = "last"'))
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (("panel.density_kg_m3", "panel.densty_kg_m3"), "panel.densty_kg_m3 .*panel.density_kg_m3"),
+        (("panel.material", "panel.materal"), "panel.materal .*panel.material"),
+        (
+            ("[header_from.panel.initial_t", "[header_from.panel.inital_t"),
+            "panel.inital_temperature_C .*initial_t",
+        ),
+        (("panel.density_kg_m3 = 760.0", "panel.density_kg_m3 = 1.0"), "panel.density_kg_m3 = 1.0"),
+    ],
+)
+def test_a_mistyped_key_of_a_mapping_is_refused_where_it_stands(tmp_path, change, key):
+    with pytest.raises(InputError, match=rf"m\.toml: .*{key}"):
+        _mapping(tmp_path, NESTED.replace(*change))
+
+
+def test_a_number_that_the_files_column_gives_is_refused_with_the_file(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x\n0,900\n1,22\n")
+    with pytest.raises(InputError, match=r"a\.csv: .*panel\.initial_temperature_C = 900"):
+        read_foreign(tmp_path / "a.csv", _mapping(tmp_path, NESTED))

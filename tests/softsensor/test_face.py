@@ -1176,8 +1176,41 @@ def test_keys_given_beside_a_file_count_before_its_own():
     run = softsensor.read_run(path, header={"panel.thickness_mm": 12.0})
     assert run.header == {**softsensor.read_run(path).header, "panel.thickness_mm": 12.0}
     assert softsensor.read_run(run, header={"run": "other"}).name == "other"
-    with pytest.raises(daq.InputError, match=r"panel\.thickness_mm"):
+    with pytest.raises(daq.InputError, match=r"^read_run: .*panel\.thickness_mm"):
         softsensor.read_run(path, header={"panel.thicknes_mm": 12.0})
+
+
+def test_a_header_of_tables_is_read_as_its_dotted_keys():
+    nested = {
+        "panel": {"thickness_mm": 12.0, "thickness_mm.sd": 0.1},
+        "recorded": {"started_utc": "2026-03-04T07Z"},
+    }
+    flat = {"panel.thickness_mm": 12.0, "panel.thickness_mm.sd": 0.1}
+    flat["recorded.started_utc"] = datetime(2026, 3, 4, 7, tzinfo=UTC)
+    plain = softsensor.read_run(SHORT)
+    table = daq.frame_of(plain)
+    tagged = table.copy()
+    tagged.attrs = {**table.attrs, **nested}
+    for key in ("panel.thickness_mm", "recorded.started_utc"):
+        tagged.attrs.pop(key, None)
+    for run in (
+        softsensor.read_run(SHORT, header=nested),
+        softsensor.read_run(plain, header=nested),
+        softsensor.read_run(table, header=nested),
+        softsensor.read_run(tagged),
+        softsensor.read_run(replace(plain, header={**plain.header, **flat, "panel": {"moisture_percent": 5.0}})),
+    ):
+        assert {key: run.header[key] for key in flat} == flat
+        assert not [value for value in run.header.values() if isinstance(value, dict)]
+    assert run.header["panel.moisture_percent"] == 5.0
+    twice = {"panel.thickness_mm": 11.0, "panel": {"thickness_mm": 12.0}}
+    for work in (
+        lambda: softsensor.read_run(SHORT, header=twice),
+        lambda: softsensor.read_run(table, header=twice),
+        lambda: softsensor.LiveSensor(LAB, twice),
+    ):
+        with pytest.raises(daq.InputError, match=r"header key panel\.thickness_mm is given twice; keep one"):
+            work()
 
 
 def test_the_first_examples_run_in_any_folder(tmp_path, monkeypatch):
