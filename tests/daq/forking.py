@@ -46,7 +46,7 @@ class NoFits:
     def help_compiling(self):
         pass
 
-    def warm_up(self):
+    def warm_up_behind(self):
         pass
 
     def submit(self, *_):
