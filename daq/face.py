@@ -5,6 +5,7 @@ Nothing but `play` writes.
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time
@@ -18,12 +19,15 @@ import pandas as pd
 
 from daq.files.frames import frame_of, run_of
 from daq.files.instants import STARTED
+from daq.files.legible import check_words
 from daq.files.qualities import OTHERS, row_faults
 from daq.files.run_file import read_run
 from daq.given import number_of, path_of, refused
 from daq.press.detector import PressEventDetector
 from daq.press.events import find_moments as find_run_moments
+from daq.press.faces import columns_of
 from daq.press.press_file import Press, read_press
+from daq.press.wires import Wires
 from daq.printed import in_short
 from daq.records import Channel, InputError, Moments, Quality, Run, Scan
 from daq.store.recording import remarks_in
@@ -216,9 +220,8 @@ def _scans_of(run: Run, began: datetime, first: int) -> list[Scan]:
     columns, faults, scans = [values.tolist() for values in run.columns.values()], row_faults(run), []
     for i, time_s in enumerate(run.time_s.tolist()):
         values, named = tuple(column[i] for column in columns), faults[i] if faults else {}
-        rest = named.get(OTHERS, Quality.GOOD)
         qualities = tuple(
-            named.get(name, Quality.MISSING if math.isnan(value) else rest)
+            named.get(name, named.get(OTHERS, Quality.MISSING if math.isnan(value) else Quality.GOOD))
             for name, value in zip(run.columns, values, strict=True)
         )
         scans.append(Scan(first + i, began + timedelta(seconds=time_s), time_s, values, qualities))
@@ -228,6 +231,12 @@ def _scans_of(run: Run, began: datetime, first: int) -> list[Scan]:
 def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
     """Return when the press closed and opened in a run, and when the panel came and went. [s of the run]
 
+    Raises
+    ------
+    InputError
+        For a run without any column of the press's faces or wires, and words in a column that it takes numbers
+        from.
+
     Examples
     --------
     >>> from daq import shared_files
@@ -236,7 +245,8 @@ def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
     >>> round(moments.opened_s - moments.closed_s), str(moments.source)
     (31, 'temperatures')
     """
-    return find_run_moments(_run(run), _press(press))
+    described = _press(press)
+    return find_run_moments(_showing(_run(run), described), described)
 
 
 def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
@@ -246,6 +256,12 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     (inserted, closed, opened, removed), ``noticed_s`` and ``source``; where the run's header knows its start,
     ``utc`` too. For one pressing `find_moments` places the moments better, with both sides of each known.
 
+    Raises
+    ------
+    InputError
+        For a table without any column of the press's faces or wires, and words in a column that it takes numbers
+        from.
+
     Examples
     --------
     >>> from daq import shared_files
@@ -253,8 +269,9 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     >>> find_events(run, press)["event"].tolist()
     ['inserted', 'closed', 'opened']
     """
-    run = _run(table)
-    detector = PressEventDetector(_press(press))
+    described = _press(press)
+    run = _showing(_run(table), described)
+    detector = PressEventDetector(described)
     columns = {name: run.columns[name].tolist() for name in detector.looks_at(tuple(run.columns))}
     found = []
     for i, time_s in enumerate(run.time_s.tolist()):
@@ -267,6 +284,16 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     if rows and isinstance(started := run.header.get(STARTED), datetime):
         events["utc"] = pd.Timestamp(started) + pd.to_timedelta(events.index, unit="s")
     return events
+
+
+def _showing(run: Run, press: Press) -> Run:
+    """Return a run in which its press can be seen. Raises `InputError` for words among its readings, or none."""
+    check_words(run, press)
+    names = tuple(run.columns)
+    seen = {*itertools.chain(*columns_of(press).of_face(names)), *Wires(press.press).columns}
+    if press.has_states and seen.isdisjoint(names):
+        raise InputError(say("run-press-state-unknown", run=run.source or run.name))
+    return run
 
 
 def _run(given: AnyRun) -> Run:

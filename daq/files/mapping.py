@@ -95,7 +95,9 @@ def _contradictions(mapped: Mapped) -> Iterator[Message]:
 
 
 def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -> Run:
-    """Read a foreign file as a run; in columns that match `temperatures` only a temperature can stand.
+    """Read a foreign file as a run.
+
+    Only a temperature can stand in columns that match `temperatures`, and in those whose unit is stated as one's.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
     rows = _rows(path, mapped.file)
     names = next(rows)
     places = _places(path, names.cells, mapped)
-    kept = {c: (array("d"), matches(c.to, temperatures)) for c in mapped.column if c.to in places}
+    kept = {c: (array("d"), _is_temperature(c, temperatures)) for c in mapped.column if c.to in places}
     times, first = array("d"), None
     for row, time_s in rows_in_order(path, rows, names, mapped):
         first = first or row
@@ -128,6 +130,10 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
             header[key] = _value_at(path, key, columns.get(source.column, np.empty(0)), source)
     check_header(header, path)
     return Run(str(header["run"]), header, np.frombuffer(times), columns, str(path))
+
+
+def _is_temperature(column: ColumnTable, patterns: Sequence[str]) -> bool:
+    return matches(column.to, patterns) or (bool(column.unit) and "unit" in column.model_fields_set)
 
 
 def _computed(columns: Mapping[str, Array], tables: Iterable[ComputedTable]) -> dict[str, Array]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from daq.given import names_of
 from daq.press.resin_file import Resin
+from daq.records import Run
 from softsensor.face.inputs import read_press, resin_of, run_for
 from softsensor.face.models import model_for
 from softsensor.face.showing import about, axes_over_time, head_html, lists, shown, table_html, table_text
@@ -101,5 +102,12 @@ def predict(
     loaded = run_for(run, described)
     known = None if model is None else model_for(model, described, loaded.header)
     compile_for(WorkKind.LIVE)
-    replayed = replay(described, loaded, known, loaded.named(names_of(without)), resin=resin_of(resin))
+    replayed = replay(described, loaded, known, loaded.named(_patterns(loaded, without)), resin=resin_of(resin))
     return Prediction(replayed)
+
+
+def _patterns(run: Run, without: str | Sequence[str]) -> list[str]:
+    """Return patterns of columns: a text that means none of the run's holds several, with commas between them."""
+    if isinstance(without, str) and not run.matching([without]):
+        return [pattern.strip() for pattern in without.split(",")]
+    return names_of(without)

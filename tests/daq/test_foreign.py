@@ -373,6 +373,20 @@ def test_what_is_no_temperature_is_refused_by_line_unless_the_mapping_calls_it_m
     assert run.columns["load_N"].tolist() == [50000, 60000]
 
 
+@pytest.mark.parametrize(
+    ("unit", "cell", "found"), [("K", "-5", -278.15), ("C", "-9999", -9999), ("F", "5000", 2760)]
+)
+def test_a_column_whose_unit_is_a_temperatures_holds_nothing_else_whoever_reads_it(tmp_path, unit, cell, found):
+    text = f'[time]\ncolumn = "t"\n[[column]]\nfrom = "a"\nto = "top_1"\nunit = "{unit}"\n'
+    (tmp_path / "x.csv").write_text(f"t,a\n0,300\n1,{cell}\n")
+    mapped = _mapping(tmp_path, text)
+    for temperatures in ([], ["top_*"]):
+        with pytest.raises(InputError, match=rf"line 3: column a: {found:g} °C is no temperature"):
+            read_foreign(tmp_path / "x.csv", mapped, temperatures)
+    run = read_foreign(tmp_path / "x.csv", _mapping(tmp_path, text.replace(f'"{unit}"', '""')))
+    assert run.columns["top_1"].tolist() == [300.0, float(cell)]
+
+
 def _mapping(tmp_path, text):
     (tmp_path / "m.toml").write_text(text)
     return read_mapping(tmp_path / "m.toml")

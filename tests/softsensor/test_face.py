@@ -379,6 +379,8 @@ def test_a_run_that_is_played_keeps_qualities_texts_of_rows_and_remark(tmp_path)
     table["quality"], table["note"] = "", ""
     table.iloc[3, table.columns.get_loc("quality")] = "top_3=open bottom_1=stale"
     table.iloc[5, table.columns.get_loc("quality")] = "top_2=late *=simulated"
+    table.iloc[7, table.columns.get_loc("quality")] = "*=stale"
+    table.iloc[8, table.columns.get_loc("quality")] = "top_3=late *=open"
     table.iloc[4, table.columns.get_loc("note")] = "door opened"
     run, url = softsensor.read_run(table), tmp_path / "played.sqlite"
     daq.play(run, url, "lab", scans=2)
@@ -1211,6 +1213,26 @@ def test_a_header_of_tables_is_read_as_its_dotted_keys():
     ):
         with pytest.raises(daq.InputError, match=r"header key panel\.thickness_mm is given twice; keep one"):
             work()
+
+
+def test_a_table_that_shows_nothing_of_the_press_is_refused_where_its_moments_are_asked_for():
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    foreign, worded = table.add_prefix("x_"), table.astype({"top_1": object})
+    worded.loc[worded.index[1], "top_1"] = "hot"
+    for find in (daq.find_events, daq.find_moments):
+        with pytest.raises(daq.InputError, match="press state unknown: no reading of the panel and no column"):
+            find(foreign, LAB)
+        with pytest.raises(daq.InputError, match=r"row 2: column top_1: 'hot' is not a number"):
+            find(worded, LAB)
+
+
+def test_columns_are_left_out_by_one_text_with_commas_as_on_the_command_line():
+    one, several = (
+        softsensor.predict(SHORT, LAB, without=given) for given in ("top_1, top_2", ["top_1", "top_2"])
+    )
+    pd.testing.assert_frame_equal(one.frame(), several.frame())
+    with pytest.raises(daq.InputError, match="tpo"):
+        softsensor.predict(SHORT, LAB, without="top_1,tpo_*")
 
 
 def test_the_first_examples_run_in_any_folder(tmp_path, monkeypatch):
