@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from decimal import Context
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from numbers import Integral, Real
 from types import MappingProxyType
@@ -99,9 +99,9 @@ class Catalogue:
         self.learnt: dict[str, str] = {}
         """Words that came later (`learn`), by code."""
         self._patterns = _patterns(text)
-        self._bundle = FluentBundle(
-            [language], use_isolating=False, functions={"NUMBER": _number_or_words, "SPAN": _span}
-        )
+        functions: dict[str, Any] = {"NUMBER": _number_or_words, "SPAN": _span}
+        self._new_bundle: Any = partial(FluentBundle, [language], use_isolating=False, functions=functions)
+        self._bundle = self._new_bundle()
         self._resource, self._number = FluentResource, fluent_number
 
     def entries(self) -> dict[str, str]:
@@ -114,6 +114,12 @@ class Catalogue:
         A code that is known keeps its words.
         """
         self.learnt |= {code: pattern for code, pattern in entries.items() if not self.has(code)}
+
+    def forget(self, beginnings: tuple[str, ...]) -> None:
+        """Let go of what was learnt under codes that begin so, before it is learnt otherwise."""
+        kept = {code: one for code, one in self.learnt.items() if not code.startswith(beginnings)}
+        if len(kept) < len(self.learnt):
+            self.learnt, self._bundle = kept, self._new_bundle()  # a bundle keeps whatever it once formatted
 
     def has(self, code: str) -> bool:
         """Return whether this language has words for a code."""

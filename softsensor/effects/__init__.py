@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import entry_points
 
-from daq.given import refused
 from daq.records import InputError
 from daq.words import message as words
 from daq.words import say
@@ -37,6 +36,7 @@ from softsensor.effects import (
 )
 from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Source, Terms, on_panel
 from softsensor.effects.free_law import laws
+from softsensor.effects.own import check_effect
 
 ENTRY_POINTS = "kerntemp.effects"
 """A package that declares an entry point of this group, naming an `Effect`, adds to the catalogue."""
@@ -66,6 +66,7 @@ BUILT_IN: tuple[Effect, ...] = tuple(
         sensor_fault,
     )
 )
+_SHIPPED = frozenset(effect.name for effect in BUILT_IN)
 
 
 @cache
@@ -79,14 +80,24 @@ def catalogue() -> dict[str, Effect]:
         effect = point.load()
         if not isinstance(effect, Effect):
             raise InputError(say("effect-entry-not-an-effect", name=point.name, value=point.value))
-        _add(effects, effect, point.name)
+        if effect.name in effects and effect.name not in _SHIPPED:
+            raise InputError(say("effect-exists-already", name=point.name, effect=effect.name))
+        _add(effects, effect)
     return effects
 
 
 def add_effect(effect: Effect) -> None:
     """Add an effect of one's own to the catalogue of this process, as an installed package's entry point does.
 
-    Raises InputError for what is no `Effect`, one whose name is taken, or one without words.
+    One of the same name that was added before gives way to it, as where the cell of a notebook runs once more;
+    what was worked out with the former one keeps that.
+
+    Raises
+    ------
+    InputError
+        For what is no `Effect`, one by the name of a shipped one, one whose names, chance or parameters cannot be,
+        and one without words. Where its terms fail or are no numbers of the shapes that `Terms` has, whoever asks
+        for them is refused with its name.
 
     Examples
     --------
@@ -118,14 +129,13 @@ def add_effect(effect: Effect) -> None:
     >>> catalogue().pop("draught_above") is draught  # what else runs in this process is to know none of it
     True
     """
-    if not isinstance(effect, Effect):
-        raise refused(effect, "given-no-effect")
-    _add(catalogue(), effect, effect.name)
+    _add(catalogue(), effect)
 
 
-def _add(effects: dict[str, Effect], effect: Effect, name: str) -> None:
-    if effect.name in effects:
-        raise InputError(say("effect-exists-already", name=name, effect=effect.name))
+def _add(effects: dict[str, Effect], effect: Effect) -> None:
+    check_effect(effect)
+    if effect.name in _SHIPPED or effect.name in laws():
+        raise InputError(say("effect-shipped", name=effect.name))
     learn_words(effect)
     effects[effect.name] = effect
 
@@ -143,9 +153,11 @@ def learn_words(effect: Effect) -> None:
     wanted |= {f"parameter-{p.name}": f"parameter-{effect.name}-{p.name}" for p in effect.parameters}
     if lacking := sorted(set(wanted) - set(effect.words.get(words.ENGLISH, {}))):
         raise InputError(say("effect-without-words", name=effect.name, lacking=tuple(lacking)))
-    for language in set(words.languages()) & set(effect.words):
-        own = effect.words[language]
-        words.catalogue_of(language).learn({code: own[what] for what, code in wanted.items() if what in own})
+    for language in words.languages():
+        own = effect.words.get(language, {})
+        known = words.catalogue_of(language)
+        known.forget((f"effect-{effect.name}-", f"parameter-{effect.name}-"))
+        known.learn({code: own[what] for what, code in wanted.items() if what in own})
 
 
 def words_of_own_effects(language: str) -> dict[str, str]:

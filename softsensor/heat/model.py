@@ -57,6 +57,7 @@ from daq.records import InputError, Moments, Nonphysical, PressState, Run
 from daq.words import say
 from softsensor.effects import Conversion, Effect, Scene, Source, Terms, find_effect, on_panel
 from softsensor.effects.effect import FACTORS, SUMMANDS
+from softsensor.effects.own import terms_of
 from softsensor.heat import implicit_steps
 from softsensor.heat.build import Build
 from softsensor.heat.case import FINE_STEP_S, GROWTH, Case, Fineness, prepare_case
@@ -259,7 +260,7 @@ class ThermalModel:
         """Return each effect's terms, with the moment of closing shifted. [s]"""
         scene = _scene(case, values, shift)
         return [
-            *(effect.terms(scene, _own(effect, values)) for effect in self.effects),
+            *(terms_of(effect, scene, _own(effect, values)) for effect in self.effects),
             _panel_terms(scene, values),
         ]
 
@@ -280,7 +281,7 @@ class ThermalModel:
             if name in owners:
                 i, own = owners[name]
                 here = _own(self.effects[i], values)
-                moved = self.effects[i].terms(scene, here | {own: here[own] + 1j * _TINY})
+                moved = terms_of(self.effects[i], scene, here | {own: here[own] + 1j * _TINY})
                 derived[name] = _merged([before[i], moved, after[i + 1]], imaginary=True)
             elif name == "closed_s" and late:
                 derived[name] = _merged(self._parts(case, values, 1j * _TINY), imaginary=True)

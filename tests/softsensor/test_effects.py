@@ -12,11 +12,30 @@ import numpy as np
 import pytest
 from scipy.stats import lognorm, norm
 
+import softsensor
 from daq.records import InputError, Moments
+from daq.shared import shared_files
 from daq.simulated.effects import SIZES
 from daq.words import message as words
 from softsensor.diagnosis.extension_unknowns import is_shape
-from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect, learn_words
+from softsensor.effects import (
+    BUILT_IN,
+    Conversion,
+    Effect,
+    Live,
+    Need,
+    Role,
+    Source,
+    Terms,
+    add_effect,
+    catalogue,
+    find_effect,
+    known_effect,
+    learn_words,
+    on_panel,
+)
+from softsensor.effects.own import check_effect
+from softsensor.effects.parameters import Parameter
 from softsensor.effects.vocabulary import coefficient_words
 from softsensor.heat.model import ThermalModel
 from softsensor.opening.steam import equilibrium_moisture
@@ -318,6 +337,154 @@ def test_an_effect_without_english_words_is_refused_with_what_is_missing():
     effect = replace(find_effect("edge_loss"), name="draught", words={"en": {"called": "a draught"}})
     with pytest.raises(InputError, match="no English words for confirmed-by, core, meaning, parameter-W_m3K, sym"):
         learn_words(effect)
+
+
+SPOKEN = ("called", "meaning", "symptom", "confirmed-by", "core", "parameter-W_m3K")
+
+
+def hood_terms(scene, values):
+    return Terms(exchange=on_panel(scene, values["W_m3K"], 0.0))
+
+
+def own_effect(terms=hood_terms, **changed):
+    """Return an effect as somebody writes one in a notebook, some of it changed; `size` is of its parameter."""
+    loss = Parameter("W_m3K", "W/m³K", neutral=0.0, typical=4000.0, lower=0.0, upper=4e4, source="assumed")
+    loss = replace(loss, **changed.pop("size", {}))
+    words = {"en": {what: f"hood: {what}" for what in (*SPOKEN, f"parameter-{loss.name}")}}
+    given = {"chance": 0.02, "live": Live(Role.HYPOTHESIS), "needs": Need.PANEL, "words": words, **changed}
+    return Effect("hood", (loss,), terms, source="assumed", **given)
+
+
+@pytest.fixture
+def own():
+    """Add an effect of one's own for as long as a test takes."""
+    yield add_effect
+    catalogue().pop("hood", None)
+
+
+@by_name
+def test_what_is_asked_of_ones_own_effect_holds_of_every_shipped_one(effect):
+    if effect.parameters:  # faults of channels are found by comparison
+        check_effect(effect)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        (
+            {"size": {"lower": 4e4, "upper": 0.0}},
+            "effect hood: parameter W_m3K: lower = 40000 and upper = 0",
+        ),
+        ({"size": {"upper": float("inf")}}, "lower = 0 and upper = inf are no limits"),
+        ({"size": {"neutral": -1.0}}, "parameter W_m3K: neutral = -1 lies outside its limits 0 to 40000"),
+        ({"size": {"typical": 5e4}}, "parameter W_m3K: typical = 50000 lies outside its limits 0 to 40000"),
+        ({"size": {"typical": float("nan")}}, "typical = nan lies outside"),
+        ({"size": {"typical": "much"}}, "typical = 'much' lies outside"),
+        ({"size": {"typical": 0.0}}, "typical equals neutral"),
+        ({"size": {"name": "loss W"}}, "effect hood: 'loss W' is no name"),
+        ({"chance": 2.0}, "effect hood: chance = 2: it is a probability"),
+        ({"chance": float("nan")}, "chance = nan"),
+    ],
+)
+def test_an_effect_that_cannot_be_is_refused_when_it_is_added(own, wrong, expected):
+    with pytest.raises(InputError, match=re.escape(expected)):
+        own(own_effect(**wrong))
+    assert "hood" not in catalogue()
+
+
+@pytest.mark.parametrize("name", ["My Effect", "", "hood.draught", "1st", "häubchen", 5])
+def test_an_effect_whose_name_no_file_takes_is_refused_when_it_is_added(own, name):
+    with pytest.raises(InputError, match="is no name"):
+        own(replace(own_effect(), name=name))
+    assert name not in catalogue()
+
+
+def test_an_effect_without_parameters_of_its_own_each_is_refused_when_it_is_added(own):
+    hood = own_effect()
+    for parameters, expected in (((), "one Parameter or more"), (hood.parameters * 2, "two parameters W_m3K")):
+        with pytest.raises(InputError, match=expected):
+            own(replace(hood, parameters=parameters))
+    with pytest.raises(InputError, match="an effect is given as an Effect"):
+        own(replace(hood, terms=5))
+
+
+@pytest.mark.parametrize("name", ["edge_loss", "law_conductivity"])
+def test_an_effect_that_is_shipped_stays(own, name):
+    with pytest.raises(InputError, match=f"effect {name}: Kerntemp brings one of that name"):
+        own(replace(own_effect(), name=name))
+    assert known_effect(name).source != "assumed"
+
+
+def test_an_effect_that_is_added_once_more_counts_as_it_is_now_and_so_do_its_words(own, lab_press):
+    german = {what: "Haube" for what in SPOKEN}
+    first = own_effect()
+    own(replace(first, words={**first.words, "de": german}))
+    assert (str(first.called), words.words(first.called, "de")) == ("hood: called", "Haube")
+    second = own_effect(terms=lambda scene, values: Terms(exchange=on_panel(scene, 0.5 * values["W_m3K"], 0.0)))
+    own(replace(second, words={"en": {**second.words["en"], "called": "a hood"}}))
+    assert find_effect("hood").terms is second.terms
+    assert (str(first.called), words.words(first.called, "de")) == ("a hood", "a hood")
+    assert list(catalogue()).count("hood") == 1
+
+
+WRONG_TERMS = {
+    "a misspelt key": (lambda scene, values: Terms(lag=values["W_m3"]), "its terms fail (KeyError: 'W_m3')"),
+    "nothing": (lambda scene, values: None, "its terms are None; let it return Terms"),
+    "a number": (lambda scene, values: 5, "its terms are 5; let it return Terms"),
+    "a wrong shape": (
+        lambda scene, values: Terms(exchange=np.zeros(3)),
+        "exchange has the shape (3,)",
+    ),
+    "no number": (lambda scene, values: Terms(exchange=float("nan")), "of its terms exchange is not finite"),
+    "a text": (lambda scene, values: Terms(convection="much"), "of its terms convection is 'much', not a number"),
+    "an array of one number": (lambda scene, values: Terms(lag=np.zeros(2)), "lag has the shape (2,)"),
+    "no such contact": (
+        lambda scene, values: Terms(closed_contact={9: 1.0}),
+        "closed_contact is {9: 1}; it",
+    ),
+    "no pair": (lambda scene, values: Terms(boundary_offset=3.0), "boundary_offset is 3; it takes a tuple of two"),
+    "no sources": (lambda scene, values: Terms(sources=(np.zeros(3),)), "sources are"),
+    "ragged": (lambda scene, values: Terms(exchange=[[1.0], [1.0, 2.0]]), "exchange is"),
+}
+
+
+@pytest.mark.parametrize("terms", WRONG_TERMS)
+def test_terms_that_fail_or_are_none_are_refused_by_the_name_of_their_effect_wherever_they_are_asked_for(
+    own, terms
+):
+    wrong, expected = WRONG_TERMS[terms]
+    own(own_effect(terms=wrong))
+    shared = shared_files()
+    press, run = shared / "presses" / "lab.toml", softsensor.read_run(shared / "samples" / "2026-03-04-07.csv")
+    model = softsensor.ModelFile("m", "lab", {}, effects=(("hood", {"W_m3K": softsensor.FittedValue(10.0, 1.0)}),))
+    scan = {name: column[0] for name, column in run.columns.items()}
+    for ask in (
+        lambda: softsensor.simulate(run, press, model),
+        lambda: softsensor.predict(run, press, model),
+        lambda: softsensor.predict(run, press),  # the live sensor suspects it
+        lambda: softsensor.LiveSensor(press, run.header).update(0.0, scan),
+        lambda: softsensor.diagnose([run], press, effects="hood"),
+    ):
+        with pytest.raises(InputError, match=re.escape("effect hood: ")) as refused:
+            ask()
+        assert expected in str(refused.value)
+
+
+def test_terms_of_every_shape_that_is_documented_are_taken(lab_press, make_run, moments, coefficients):
+    def everything(scene, values):
+        n, steps, w = len(scene.z), len(scene.step_start), values["W_m3K"]
+        cells, own = np.ones(n) + 1e-9 * w, Conversion(np.zeros(n), 0, 1e-3, 1e4, 400.0)
+        contacts = dict.fromkeys(range(scene.contacts), np.ones(steps))
+        terms = Terms(cells, 0 * cells, np.zeros(61), cells, 0 * cells, 0 * cells, contacts, np.zeros(61))
+        sources = (Source(np.zeros(n), np.ones(steps)), Source(np.zeros(n)))
+        return replace(terms, conversions=(own,), sources=sources, boundary_offset=(0.0, 1e-9 * w))
+
+    plain = ThermalModel(lab_press)
+    more = plain.extended(own_effect(terms=everything, nonlinear=True))
+    case = plain.prepare(make_run(), moments)
+    values = {**coefficients, "hood.W_m3K": 1.0}
+    found = more.solve(more.prepare(make_run(), moments), values, tangents=("hood.W_m3K",))
+    np.testing.assert_allclose(found.core, plain.solve(case, coefficients).core, atol=1e-3)
 
 
 def test_the_paper_table_example_finds_only_the_kilowatt_reading_able_to_laminate(tmp_path):
