@@ -6,11 +6,10 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, date, datetime, time
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 from daq.files.mapping_tables import FileTable, Mapped, TimeTable
@@ -28,8 +27,7 @@ _SOME_DAY, _NO_DAY = date(2034, 11, 29), date(1900, 1, 1)
 """A day whose year, month and day differ in every spelling, and Python's where a text gives none."""
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A line of the file, cut into cells."""
 
     line: int

@@ -41,6 +41,13 @@ def test_time_of_a_million_rows(tmp_path):
     parquet, csv = tmp_path / "run.parquet", tmp_path / "run.csv"
     write_run(run, parquet)
     write_run(run, csv)
+    mapping = tmp_path / "map.toml"
+    with csv.open() as lines:
+        line = next(number for number, text in enumerate(lines, 1) if not text.startswith("#"))
+    mapping.write_text(
+        f'[file]\nheader_line = {line}\n[time]\ncolumn = "time_s"\n'
+        + "".join(f'[[column]]\nfrom = "{name}"\nto = "{name}"\n' for name in columns)
+    )
     seconds = {
         "table to run": spent(lambda: daq.run_of(frame))[0],
         "table of instants to run": spent(lambda: daq.run_of(instants))[0],
@@ -53,6 +60,7 @@ def test_time_of_a_million_rows(tmp_path):
         "Parquet to table, pandas": spent(lambda: pd.read_parquet(parquet))[0],
         "CSV to run": spent(lambda: softsensor.read_run(csv))[0],
         "CSV to table, pandas": spent(lambda: pd.read_csv(csv, comment="#"))[0],
+        "CSV to run, by a mapping": spent(lambda: softsensor.read_run(csv, mapping=mapping))[0],
         "find closing and opening": spent(lambda: daq.find_moments(run, daq.shared_files() / "presses/lab.toml"))[
             0
         ],

@@ -524,3 +524,53 @@ def test_a_number_that_the_files_column_gives_is_refused_with_the_file(tmp_path)
     (tmp_path / "a.csv").write_text("t,x\n0,900\n1,22\n")
     with pytest.raises(InputError, match=r"a\.csv: .*panel\.initial_temperature_C = 900"):
         read_foreign(tmp_path / "a.csv", _mapping(tmp_path, NESTED))
+
+
+LONG = """
+[time]
+column = "t"
+[[column]]
+from = "a"
+to = "top_1"
+unit = "K"
+[[column]]
+from = "b"
+to = "load"
+unit = ""
+scale = 0.1
+offset = -3.0
+upper = 90.0
+"""
+
+
+def _long_file(path, changes=()):
+    """Write a file of more rows than are parsed at once; `changes` put another text into a line."""
+    lines = ["t,a,b", *(f"{i / 10},{290 + i / 7:.3f},{i}" for i in range(1000))]
+    for line, text in changes:
+        lines[line - 1] = text
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_file_read_many_rows_at_once_has_the_numbers_of_each_cell(tmp_path):
+    run = read_foreign(_long_file(tmp_path / "a.csv", [(400, "39.8,---,NaN")]), _mapping(tmp_path, LONG))
+    kelvin = [round(float(f"{290 + i / 7:.3f}") - 273.15, 9) for i in range(1000)]
+    load = [i * 0.1 - 3.0 if i * 0.1 - 3.0 <= 90.0 else np.nan for i in range(1000)]
+    kelvin[398] = load[398] = np.nan
+    np.testing.assert_array_equal(run.columns["top_1"], kelvin)
+    np.testing.assert_array_equal(run.columns["load"], load)
+    assert run.time_s.tolist() == [round(i / 10, 6) for i in range(1000)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ([(700, "69.8,hot,1"), (699, "69.7,300,heavy")], "line 699: column b: 'heavy' is not a number"),
+        ([(700, "69.8,hot,heavy")], "line 700: column a: 'hot' is not a number"),
+        ([(700, "nan,300,1"), (600, "59.8,-5,1")], "line 600: column a: -278.15 °C is no temperature"),
+        ([(700, "0,300,1"), (701, "69.9,hot,1")], "line 700: column t: '0' does not rise"),
+    ],
+)
+def test_of_several_faults_in_a_file_the_first_is_named(tmp_path, changes, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        read_foreign(_long_file(tmp_path / "a.csv", changes), _mapping(tmp_path, LONG))
