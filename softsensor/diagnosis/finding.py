@@ -35,7 +35,7 @@ class Contest:
     __repr__ = on_screen
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Finding:
     """One named cause."""
 
@@ -87,7 +87,7 @@ def _edges(gain: Gain) -> list[float] | None:
     return None if gain.ci95 is None else list(gain.ci95)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The answer."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -39,7 +38,6 @@ class CauseWay:
     """Of the side it is moved to."""
 
 
-@lru_cache(maxsize=1)
 def ways() -> dict[str, CauseWay]:
     """Return the catalogue's ways by name; what can have either sign has two for each of its parameters."""
     found = {}

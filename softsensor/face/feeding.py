@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from daq.press.header import check_header, doubts, flat_header
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, in_short, on_screen
 from daq.records import InputError, matches
+from daq.tables import nearest
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
@@ -25,7 +26,7 @@ from softsensor.live.sensor import Estimate
 from softsensor.live.sensor import LiveSensor as ScanSensor
 
 if TYPE_CHECKING:
-    from softsensor.face.kinds import AnyModel, AnyPress
+    from softsensor.face.kinds import AnyModel, AnyPress, AnyScan
 
 
 class LiveSensor(ScanSensor):
@@ -83,13 +84,13 @@ class LiveSensor(ScanSensor):
         self._of_numbers = of_numbers(described)
         self._newest: Estimate | None = None
 
-    def update(self, time_s: float, values: Mapping[str, float | None]) -> Estimate:
+    def update(self, time_s: Hashable, values: AnyScan) -> Estimate:
         """Take a scan and return what is known then.
 
         Parameters
         ----------
         time_s
-            Later than that of any scan before. [s]
+            A number later than that of any scan before. [s]
         values
             By column, a row of a table for instance; missing ones None, NaN or left out. What a text ``quality``
             calls unusable is missing too, any other text is left out. [°C, or the column's own]
@@ -98,20 +99,32 @@ class LiveSensor(ScanSensor):
         ------
         InputError
             For a time that is no number or does not rise, values without names, one that is no number, and at the
-            first scan for what press or panel lacks in header or columns.
+            first scan for what press or panel lacks in the header, a platen's column that is spelled otherwise,
+            and columns of which the press knows none.
         """
         at = None if isinstance(time_s, bool | np.bool_) else reading_of(time_s)
-        if at is None:
+        if at is None or (at != at and not isinstance(time_s, float)):
             raise InputError(say("live-time-no-number", time=repr(time_s)))
         if not hasattr(values, "items"):
             raise refused(values, "given-no-scan")
         newest_s = -math.inf if self._newest is None else self._newest.time_s
         if not newest_s < at < math.inf:
             raise InputError(say("live-time-not-rising", time_s=at, newest_s=newest_s))
+        if self._newest is None:
+            self._check_names([str(name) for name in values.keys()])  # noqa: SIM118 - a Series iterates over values
         self._newest = super().update(at, self._readings(values))
         return self._newest
 
-    def _readings(self, values: Mapping[str, Any]) -> dict[str, float]:
+    def _check_names(self, names: Sequence[str]) -> None:
+        """Refuse a misspelt platen, and columns that are another press's. Raises `InputError`."""
+        spare = [name for name in names if name not in self._platens]
+        for platen in self._platens:
+            if platen not in names and (meant := nearest(platen, spare)) is not None:
+                raise InputError(say("live-column-misspelt", column=meant, platen=platen))
+        if names and not any(name in self._platens or matches(name, self._of_numbers) for name in names):
+            raise InputError(say("live-columns-unknown", columns=tuple(names[:20]), known=tuple(self._of_numbers)))
+
+    def _readings(self, values: AnyScan) -> dict[str, float]:
         """Return a scan's usable numbers; a platen that is not there is one without a reading."""
         quality = values.get(QUALITY)
         faults = (faults_of(quality) if isinstance(quality, str) else None) or {}

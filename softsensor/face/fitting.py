@@ -65,7 +65,7 @@ class FitResult:
         return found
 
     def to_json(self) -> str:
-        """Return what ``fit --json`` writes."""
+        """Return what ``fit --json`` writes; of it ``profiles`` where the fit was asked for them."""
         return json.dumps(self.campaign.as_json())
 
     def __repr__(self) -> str:

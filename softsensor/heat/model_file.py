@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.printed import in_notebook, on_screen
-from daq.records import KEYS_SHOWN, Array
+from daq.printed import in_notebook, in_short, on_screen
+from daq.records import KEYS_SHOWN, Array, InputError
 from daq.words import say
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
@@ -115,9 +115,13 @@ class Sisters:
     """By coefficient."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ModelFile:
-    """Coefficients and effects of one press, as a campaign found them."""
+    """Coefficients and effects of one press, as a campaign found them.
+
+    Two of the same content are equal, as what is written and read again. Raises `InputError` where a coefficient
+    or parameter is no `FittedValue`.
+    """
 
     version: str
     """Which model of the press it is."""
@@ -140,13 +144,33 @@ class ModelFile:
     sisters: Sisters | None = None
     """None: it rests on the press's own runs."""
 
+    def __post_init__(self) -> None:
+        """Refuse a value without its standard deviation."""
+        tables = [("coefficients", self.coefficients)]
+        tables += [(f"effects.{n}.parameters", table) for n, (_, table) in enumerate(self.effects)]
+        for where, table in tables:
+            for name, one in table.items():
+                if not isinstance(one, FittedValue):
+                    source, place = say("place-model", version=self.version), f"{where}.{name}"
+                    raise InputError(say("model-file-no-numbers", file=source, place=place, value=in_short(one)))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether another model holds the same."""
+        return self is other or (isinstance(other, ModelFile) and self.as_json() == other.as_json())
+
+    def __hash__(self) -> int:
+        """Hash by what names it; the content may be anything."""
+        return hash((self.version, self.press))
+
+    @property
+    def _held(self) -> dict[str, FittedValue]:
+        """Coefficients, and the effects' parameters by their full names."""
+        own = {f"{name}.{key}": one for name, table in self.effects for key, one in table.items()}
+        return {**self.coefficients, **own}
+
     def __repr__(self) -> str:
         """Return on one screen what it holds: its coefficients and effects, and what else runs have taught."""
-        held = {
-            **self.coefficients,
-            **{f"{n}.{key}": one for n, table in self.effects for key, one in table.items()},
-        }
-        lines = [f"{name} = {one.value:.4g}, sd {one.sd:.2g}" for name, one in held.items()]
+        lines = [f"{name} = {one.value:.4g}, sd {one.sd:.2g}" for name, one in self._held.items()]
         shown = [*lines[:KEYS_SHOWN], *(["..."] if len(lines) > KEYS_SHOWN else [])]
         if self.missing is not None:
             percent = 100.0 * self.missing.nothing
@@ -165,12 +189,15 @@ class ModelFile:
     @property
     def values(self) -> dict[str, float]:
         """Every parameter's value by its full name."""
-        own = {f"{name}.{key}": e.value for name, table in self.effects for key, e in table.items()}
-        return {name: e.value for name, e in self.coefficients.items()} | own
+        return {name: one.value for name, one in self._held.items()}
 
     def model(self, press: Press) -> ThermalModel:
         """Return the thermal model of a press with this file's effects."""
         return ThermalModel(press, tuple(find_effect(name) for name, _ in self.effects))
+
+    def to_json(self) -> str:
+        """Return the file's content as JSON."""
+        return json.dumps(self.as_json())
 
     def as_json(self) -> dict[str, Any]:
         """Return the file's content."""

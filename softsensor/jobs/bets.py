@@ -98,11 +98,12 @@ class Bets:
             return replace(self, counted=number)
         begins = self.waiting * _begins(self.runs)
         equal = [(1.0 - self.waiting) / len(STAKES)] * len(STAKES)
-        held = np.array([self.wealth.get(name, equal) for name in ways()])
-        scored = np.array([scores.get(name, 0.0) for name in ways()])
+        names = tuple(ways())
+        held = np.array([self.wealth.get(name, equal) for name in names])
+        scored = np.array([scores.get(name, 0.0) for name in names])
         factors = 2.0 / (1.0 + np.exp(-2.0 * np.outer(scored, STAKES)))
         held = np.minimum((held + begins / len(STAKES)) * factors, MOST)
-        wealth = dict(zip(ways(), held.tolist(), strict=True))
+        wealth = dict(zip(names, held.tolist(), strict=True))
         found = replace(self, counted=number, runs=self.runs + 1, waiting=self.waiting - begins, wealth=wealth)
         return replace(found, sure=run, wealth={}) if found.average >= self.limit else found
 

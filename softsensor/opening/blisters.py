@@ -36,7 +36,7 @@ _REACH, _CELLS = 4.0, (161, 41)
 """The grid goes so many prior standard deviations either way, in so many cells of m and of t."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class SteamLimit:
     """What is known of the limit: weights of a grid."""
 

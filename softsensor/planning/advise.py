@@ -135,7 +135,7 @@ def _normal(draws: Array) -> Normal:
     return Normal(draws.mean(axis=0), draws.std(axis=0, ddof=1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TriedProgramme:
     """One program, and the press time it needs."""
 

@@ -18,6 +18,7 @@ from daq.shared import shared_files
 from daq.simulated.effects import SIZES
 from daq.words import message as words
 from softsensor.diagnosis.extension_unknowns import is_shape
+from softsensor.diagnosis.run_scores import ways
 from softsensor.effects import (
     BUILT_IN,
     Conversion,
@@ -413,6 +414,13 @@ def test_an_effect_that_is_shipped_stays(own, name):
     with pytest.raises(InputError, match=f"effect {name}: Kerntemp brings one of that name"):
         own(replace(own_effect(), name=name))
     assert known_effect(name).source != "assumed"
+
+
+def test_runs_are_asked_for_an_effect_that_is_added_later_and_as_it_is_now(own):
+    before = ways()
+    own(own_effect())
+    own(second := own_effect(chance=0.03))
+    assert {name: way.effect for name, way in ways().items() if name not in before} == {"hood.W_m3K": second}
 
 
 def test_an_effect_that_is_added_once_more_counts_as_it_is_now_and_so_do_its_words(own, lab_press):

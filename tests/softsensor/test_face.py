@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from fractions import Fraction
@@ -39,7 +39,7 @@ from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
 from softsensor.planning.summary import point_message
-from tests.screens import COLUMNS, ROWS, flooding, rows_of
+from tests.screens import COLUMNS, ROWS, flooding, parts_of, rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
@@ -933,6 +933,87 @@ def test_a_notebook_shows_what_the_text_does(results):
         view = words_of(result._repr_html_()).split()
         assert [word for word in repr(result).split() if word not in (*view, "...", "\\")] == [], name
         assert max(map(len, repr(result).splitlines())) <= 100, name
+
+
+def arrays_of(value):
+    """Return the arrays that a comparison of a value meets."""
+    parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, (tuple, list)) else ()
+    return [value] if isinstance(value, np.ndarray) else [found for part in parts for found in arrays_of(part)]
+
+
+def test_nothing_public_that_a_result_leads_to_compares_arrays_as_if_they_were_numbers(results):
+    public = {getattr(module, name) for module in (daq, softsensor) for name in module.__all__}
+    todo, seen, odd = list(results.values()), set(), set()
+    while todo:
+        one = todo.pop()
+        if type(one) in seen:
+            continue
+        if type(one).__module__.partition(".")[0] in ("daq", "softsensor"):
+            seen.add(type(one))
+        todo += [part for _, part in parts_of(one)]
+        if type(one) in public and is_dataclass(one) and one.__dataclass_params__.eq:
+            odd |= {type(one).__name__ for f in fields(one) if arrays_of(getattr(one, f.name))}
+    assert odd == set()
+    assert seen >= {softsensor.Diagnosis, daq.Run}
+
+
+def test_models_of_the_same_content_are_equal(fitted, tmp_path):
+    model = fitted.model()
+    path = tmp_path / "model.json"
+    path.write_text(model.to_json(), encoding="utf-8")
+    again = softsensor.read_model(path)
+    assert again == model
+    assert model in [again]
+    assert len({model, again}) == 1
+    assert json.loads(model.to_json()) == model.as_json()
+    name, one = next(iter(model.coefficients.items()))
+    other = replace(model, coefficients={**model.coefficients, name: replace(one, value=2.0 * one.value)})
+    assert other != model
+    assert model != model.as_json()
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"coefficients": {"h_pp_c": 700.0}}, "model v: coefficients.h_pp_c = 700: needs numbers value and sd"),
+        (
+            {"coefficients": {}, "effects": (("edge_loss", {"W_m3K": 5.0}),)},
+            "model v: effects.0.parameters.W_m3K = 5: needs numbers value and sd",
+        ),
+    ],
+)
+def test_a_model_takes_no_value_without_its_standard_deviation(given, expected):
+    with pytest.raises(daq.InputError, match=re.escape(expected)):
+        softsensor.ModelFile("v", "lab", **given)
+
+
+def test_a_fits_json_is_that_of_the_command_but_for_profiles_which_are_there_where_asked_for(written):
+    content = json.loads((written / "fit.json").read_text())["runs"][0]
+    without, asked = (
+        json.loads(softsensor.fit(SAMPLES[5], LAB, profiles=profiles).to_json())["runs"][0]
+        for profiles in (False, True)
+    )
+    assert content.keys() - without.keys() == {"profiles"}
+    assert asked.keys() == content.keys()
+
+
+@pytest.mark.parametrize(
+    ("time_s", "values", "expected"),
+    [
+        (
+            0.0,
+            {"platen_bottm": 200.0, "platen_top": 200.0},
+            "column platen_bottm is none of the press's; did you mean",
+        ),
+        (0.0, {"temperature_a": 20.0}, "the press has none of the columns temperature_a; it reads"),
+        (None, {"platen_top": 200.0}, "a scan at None: its time is given in seconds"),
+        (pd.NaT, {"platen_top": 200.0}, "a scan at NaT: its time is given in seconds"),
+    ],
+)
+def test_a_live_sensors_first_scan_names_what_is_wrong_with_it(time_s, values, expected):
+    live = softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header)
+    with pytest.raises(daq.InputError, match=re.escape(expected)):
+        live.update(time_s, values)
 
 
 def test_an_estimate_is_json_as_its_row_of_the_prediction(results):

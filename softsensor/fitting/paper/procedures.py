@@ -218,7 +218,7 @@ class Combination:
     __repr__ = on_screen
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reproduction:
     """The table, and the cost along one coefficient for either solver."""
 
