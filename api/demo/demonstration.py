@@ -18,7 +18,7 @@ from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from api.demo.press import FIRST_PANEL_S, virtual_press_of
+from api.demo.press import virtual_press_of
 from api.demo.processes import FIT_S, JUDGED, KERNTEMP, SERVICES, Children, DemoPlan, ended
 from api.demo.summary import (
     PressingCheck,
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 
 QUICK_S = 5.0
 """After so long a newcomer is shown what is being waited for. [s]"""
-LOADING_S = 0.6
-"""In so long the live sensor has loaded what is compiled already: 0.45 s of processor time (2026-11-30). A press
-whose first panel comes later need not wait for that. [s]"""
 COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
 NIGHT_AFTER = 14
@@ -75,17 +72,12 @@ class _Demo:
     def __init__(self, plan: DemoPlan, children: Children, show: Callable[[Message | str], None]) -> None:
         self.plan, self.children, self.show = plan, children, show
         self.started = time.monotonic()
-        self.address = ""
-        """Of the page, once it is there."""
         self.findings: list[PressingCheck] = []
         self._noted: set[str] = set()
         self._pressed: set[int] = set()
         """Which of the virtual press's pressings were found."""
         self._entered_panel: datetime | None = None
         """When it was entered what panels the press lays in, None for its own."""
-        self._first: Mapping[str, Any] = {}
-        """The first panel's header and the virtual second of its removal, as the loggers' process gives them: who
-        plays the operator need not solve that pressing before it is over."""
         self._given = self._taken = 0
         """How often the loggers were given panels, and how often they said from which pressing on."""
         self._waiting: dict[str, float] = {}
@@ -98,30 +90,19 @@ class _Demo:
         self._compiling_noted = False
 
     def start(self, ending: ExitStack) -> None:
-        """Let the press begin once recorder and sensor are there, and show the page's address as soon as it is."""
+        """Wait for page, recorder and sensor; then let the press begin."""
         plan = self.plan
         self.truth: VirtualPress = virtual_press_of({**plan.press, "keep": plan.known_cycles})
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
-        page, solved = self.children.first_line_of("serve"), self._loggers_answer()
-
-        def ready() -> bool:  # an accelerated press would run away from a sensor that compiles
-            return solved.is_set() and self._all_run()
-
-        self._wait_until(lambda: page.done() or ready(), ("serve",))
-        if early := not page.done():
-            self._begin()
-        self._wait_until(page.done, ("serve",))
-        self.address = page.result().split()[-1]
+        self.address = self.children.first_line("serve").split()[-1]
         self._greet(self.children.loggers)
-        if not early:
-            self._wait_until(ready, ("loggers", *SERVICES))
-            self._begin()
-
-    def _begin(self) -> None:
-        """Let the press begin."""
+        solved = self._loggers_answer()
+        # an accelerated press would run away from a sensor that compiles
+        self._wait_until(lambda: solved.is_set() and self._all_run(), ("loggers", *SERVICES))
         self.started = time.monotonic()
         self.children.send_to_loggers({"started_monotonic_s": self.started})
         self._before = self._recorded()
+        self.truth.cycle(0.0)  # before the operator writes down the first panel
 
     def _greet(self, loggers: Mapping[str, Any]) -> None:
         """Say what is there to look at, and when there will be more."""
@@ -156,9 +137,7 @@ class _Demo:
         answering = threading.Event()
 
         def take(line: Mapping[str, Any]) -> None:
-            if "first" in line:
-                self._first = line["first"]
-                answering.set()
+            answering.set()
             if "panel" in line:
                 self.truth.set_panels(line["from"], line["panel"])
                 self._taken += 1
@@ -174,18 +153,15 @@ class _Demo:
             waited = time.monotonic() - began
             if waited > COMPILE_S:
                 raise WorkFailed(say("demo-no-sign-of-life", processes=tuple(processes), seconds=COMPILE_S))
-            if waited > QUICK_S and self.address and not self._compiling_noted:
+            if waited > QUICK_S and not self._compiling_noted:
                 self._compiling_noted = True
                 self.show(say("demo-compiling"))
             time.sleep(0.05)
 
     def _all_run(self) -> bool:
-        """Whether recorder and sensor do their work, or will have begun to when the first panel comes."""
+        """Whether recorder and sensor do their work."""
         states = {name: process.status.get("state") for name, process in self.store.statuses().items()}
-        too_soon = {None, "starting"}
-        if LOADING_S * self.plan.speed > FIRST_PANEL_S:
-            too_soon.add("loading")
-        return all(states.get(name) not in too_soon for name in SERVICES)
+        return all(states.get(name) not in (None, "starting") for name in SERVICES)
 
     def watch(self) -> None:
         """Play the operator until the pressings asked for are recorded and fitted."""
@@ -270,16 +246,9 @@ class _Demo:
         if self._taken < self._given or record.run in self._noted or record.status is not RunStatus.OPEN:
             return
         self._noted.add(record.run)
-        header = self._first_header(record) or self._cycle(record, 0.0).header
-        known = {k: v for k, v in header.items() if k != "run" and record.header.get(k) != v}
+        cycle = self._cycle(record, 0.0)
+        known = {k: v for k, v in cycle.header.items() if k != "run" and record.header.get(k) != v}
         self.store.annotate_run(record.run, known, "operator")
-
-    def _first_header(self, record: RunRecord) -> Mapping[str, Any]:
-        """Return what is known of the first panel if it is a run's; nothing once panels were entered."""
-        if self._given or not self._first or self._virtual(record) >= self._first["until_s"]:
-            return {}
-        header: Mapping[str, Any] = self._first["header"]
-        return header
 
     def _finished(self, record: RunRecord) -> bool:
         if record.status is RunStatus.OPEN or any(f.run == record.run for f in self.findings):

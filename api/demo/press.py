@@ -1,11 +1,11 @@
 """The virtual press behind its simulated loggers, as a process of its own: ``python -m api.demo.press``.
 
-It reads one JSON line of settings and writes two: the loggers' wiring at once, for they answer, and what the
-first panel is and until when, once that pressing is solved, for which a first start must compile. Until a second
-line names the moment of the machine's monotonic clock at which virtual time 0 is, the press is at rest: platens at
-their setpoint, thermocouples in the room. From there it runs `speed` times as fast. Each further line says what
-the next panels are, as header keys; it answers from which pressing on it lays in such. It ends with its standard
-input, so that it never outlives whoever started it.
+It reads one JSON line of settings and writes two: the loggers' wiring at once, for they answer, and that the
+first pressing is solved, for which a first start must compile. Until a second line names the moment of the
+machine's monotonic clock at which virtual time 0 is, the press is at rest: platens at their setpoint,
+thermocouples in the room. From there it runs `speed` times as fast. Each further line says what the next panels
+are, as header keys; it answers from which pressing on it lays in such. It ends with its standard input, so that
+it never outlives whoever started it.
 """
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ def main() -> int:
             wiring("adam-4118-ascii", adam, "bottom", SERIAL_CHANNELS),
         ]
         _send({"loggers": tables})
-        cycle = press.cycle(0.0)
-        _send({"first": {"header": dict(cycle.header), "until_s": cycle.end}})
+        press.cycle(0.0)
+        _send({"ready": True})
         if line := sys.stdin.readline():
             clock.started_s = float(json.loads(line)["started_monotonic_s"])
         for line in sys.stdin:

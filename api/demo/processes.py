@@ -13,7 +13,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -109,19 +108,6 @@ class Children:
             raise WorkFailed(say("demo-did-not-start", process=name, why=self.last_words(name)))
         return line.strip()
 
-    def first_line_of(self, name: str) -> Future[str]:
-        """Return what a process will say first, without waiting for it; its error where it ends instead."""
-        said: Future[str] = Future()
-
-        def listen() -> None:
-            try:
-                said.set_result(self.first_line(name))
-            except WorkFailed as error:
-                said.set_exception(error)
-
-        self._listen(listen, f"first line of {name}")
-        return said
-
     def send_to_loggers(self, message: dict[str, Any]) -> None:
         """Send the loggers' process a line."""
         pipe = self.running["loggers"].stdin
@@ -138,10 +124,7 @@ class Children:
             for line in pipe or ():
                 take(json.loads(line))
 
-        self._listen(listen, "loggers' answers")
-
-    def _listen(self, listen: Callable[[], None], name: str) -> None:
-        self._listeners.append(threading.Thread(target=listen, name=name, daemon=True))
+        self._listeners.append(threading.Thread(target=listen, name="loggers' answers", daemon=True))
         self._listeners[-1].start()
 
     def check(self) -> None:

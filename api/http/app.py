@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import html
+import logging
 import re
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
@@ -46,6 +47,7 @@ from daq.supervision import BEAT_S
 from daq.words import say
 from daq.words.message import ENGLISH, languages, words
 
+LOG = logging.getLogger("kerntemp.serve")
 PAGE = Path(__file__).parents[1] / "page"
 DESCRIPTION = """Temperatures, core estimates, runs, coefficients and diagnoses of pressed panels.
 
@@ -117,10 +119,12 @@ async def _serving(store: Store, hub: Hub) -> AsyncIterator[None]:
     await asyncio.to_thread(_warm_up, store)
     ends = asyncio.Event()
     behind = asyncio.create_task(_load_behind(ends))
-    yield
-    ends.set()
-    await behind
-    hub.close()
+    try:
+        yield
+    finally:
+        hub.close()
+        ends.set()
+        await behind
 
 
 def _warm_up(store: Store) -> None:
@@ -139,8 +143,11 @@ async def _load_behind(ends: asyncio.Event) -> None:
     with suppress(TimeoutError):
         await asyncio.wait_for(ends.wait(), BEHIND_S)
         return
-    for module in ("softsensor.jobs.drift", "softsensor.heat.model_file", "softsensor.jobs.model_in_force"):
-        await asyncio.to_thread(import_module, module)
+    try:
+        for module in ("softsensor.jobs.drift", "softsensor.heat.model_file", "softsensor.jobs.model_in_force"):
+            await asyncio.to_thread(import_module, module)
+    except Exception:  # whoever asks for it gets the error
+        LOG.exception("what coefficients and what-if need cannot be loaded")
 
 
 @dataclass

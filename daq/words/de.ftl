@@ -1369,7 +1369,6 @@ run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts a
 sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Aktualisierung: etwa eine Minute
 sense-following = folgt { $presses }
 sense-follows-run = folgt Pressung { $run }
-sense-loading = lädt das Modell
 sense-model-not-taken = der Softsensor kann das geltende Modell nicht übernehmen und arbeitet mit { $version } weiter: { $why }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen

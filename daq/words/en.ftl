@@ -1353,7 +1353,6 @@ run-nothing-to-fit = run { $run } has no panel sensors: nothing to fit
 sense-compiling = compiling the model, once after an installation or an update: about a minute
 sense-following = following { $presses }
 sense-follows-run = following run { $run }
-sense-loading = loading the model
 sense-model-not-taken = the live sensor cannot take the model in force and goes on with { $version }: { $why }
 sense-takes-model = the live sensor takes model { $version }
 sense-waiting = waiting for scans

@@ -70,7 +70,7 @@ class Fitter:
 
     def _begin_warming_up(self) -> None:
         with suppress(RuntimeError):  # closed meanwhile
-            self.warm_up()
+            self._queue.submit(self.warm_up)  # where fits are sent, so that a lost worker is replaced once
 
     def __enter__(self) -> Fitter:
         return self

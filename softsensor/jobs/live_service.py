@@ -31,7 +31,7 @@ from daq.store.records import ScansUnreadable, in_status
 from daq.store.waiting import ending_reported, open_when_ready
 from daq.supervision import BEAT_S, Pending
 from daq.words import Message, say, spoken
-from softsensor.jobs.first_start import WorkKind, compile_for, kept
+from softsensor.jobs.first_start import WorkKind, compile_for
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.guarded import AGAIN_S, Guarded
 from softsensor.jobs.live_model import LiveModel
@@ -82,9 +82,8 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
             for own, press in presses
         ]
         notifier = Notifier()
-        state = "loading" if kept(WorkKind.LIVE) else "starting"
         fitter.help_compiling()
-        _compile([press for _, press in presses], lambda: _try_to_beat(store, followers, state))
+        _compile([press for _, press in presses], lambda: _try_to_beat(store, followers, "starting"))
         fitter.warm_up_behind()
         with suppress(StoreUnavailable):  # held for the moment: no reason to end
             write_journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
@@ -105,7 +104,6 @@ def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
 
     with ThreadPoolExecutor(1, thread_name_prefix="compile") as pool:
         warming = pool.submit(warm)
-        beat()  # at once: whoever waits for the sensor knows then whether it has to compile
         while wait([warming], BEAT_S).not_done:
             beat()
         warming.result()
@@ -160,10 +158,6 @@ def _stepped(follower: Guarded[Follower], beat: Callable[[], None]) -> bool:
         return False
 
 
-_BEFORE = {"starting": say("sense-compiling"), "loading": say("sense-loading")}
-"""What the sensor does before it follows, by its state."""
-
-
 def _status(guarded: list[Guarded[Follower]], state: str) -> dict[str, Any]:
     followers = [one.follower for one in guarded]
     problems = [
@@ -177,7 +171,7 @@ def _status(guarded: list[Guarded[Follower]], state: str) -> dict[str, Any]:
     return {
         "state": state,
         "pid": os.getpid(),
-        **in_status(problems, _BEFORE.get(state, going)),
+        **in_status(problems, say("sense-compiling") if state == "starting" else going),
         "presses": [
             {
                 "press": f.settings.name,

@@ -1,11 +1,8 @@
-import json
 import re
 import signal
 import socket
 import subprocess
 import sys
-from concurrent.futures import Future
-from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -132,77 +129,6 @@ def test_before_the_first_pressing_loggers_answer_though_it_is_not_solved_and_th
     first = press.cycle(0.0)
     assert first.moments.inserted_s == FIRST_PANEL_S
     assert abs(first.readings["bottom_7"][0] - shown["bottom_7"]) < 3.0
-
-
-def test_the_loggers_process_gives_the_first_panel_that_the_truth_would_give_too():
-    settings = {"hide": [], "keep": 4, "seed": 3}
-    command = [sys.executable, "-m", "api.demo.press"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as loggers:
-        loggers.stdin.write(json.dumps({**settings, "speed": 1.0, "pressings": 1}) + "\n")
-        loggers.stdin.flush()
-        assert "loggers" in json.loads(loggers.stdout.readline())
-        first = json.loads(loggers.stdout.readline())["first"]
-        loggers.stdin.close()
-    cycle = virtual_press_of(settings).cycle(0.0)
-    assert first == {"header": json.loads(json.dumps(dict(cycle.header))), "until_s": cycle.end}
-
-
-def test_the_first_panel_is_written_down_before_its_pressing_is_solved_and_no_other():
-    written = {}
-    demo = _Demo(DemoPlan(speed=2.0), SimpleNamespace(), print)
-    demo.truth = virtual_press_of({"hide": [], "keep": 4, "seed": 3})
-    demo.store = SimpleNamespace(annotate_run=lambda run, known, who: written.update({run: known}))
-    demo._first = {"header": {"run": "demo-001", "panel.thickness_mm": 16.5}, "until_s": 100.0}
-    for run, at_s in (("first", 4.0), ("second", 104.0)):
-        zero = 2.0 * demo.started + at_s
-        demo._note(SimpleNamespace(run=run, status=RunStatus.OPEN, header={}, zero_monotonic_s=zero))
-        assert bool(demo.truth.cycles) is (run == "second")
-    assert written["first"] == {"panel.thickness_mm": 16.5}
-    assert written["second"]["panel.thickness_mm"] == 16.0
-
-
-@pytest.mark.parametrize(("speed", "begins"), [(1.0, True), (20.0, True), (100.0, False)])
-def test_the_press_begins_while_the_sensor_loads_unless_the_first_panel_would_come_before_it(
-    tmp_path, speed, begins
-):
-    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
-        demo = _Demo(DemoPlan(speed=speed), SimpleNamespace(), [].append)
-        demo.store = store
-        store.beat("record", {"state": "recording"})
-        for state, all_run in (("starting", False), ("loading", begins), ("running", True)):
-            store.beat("sense", {"state": state})
-            assert demo._all_run() is all_run
-
-
-@pytest.mark.parametrize(("sensor", "first"), [("running", "press"), ("starting", "page")])
-def test_neither_the_page_waits_for_a_sensor_that_compiles_nor_the_press_for_the_page(tmp_path, sensor, first):
-    happened, page = [], Future()
-    with ExitStack() as ending, open_store(str(tmp_path / "kerntemp.sqlite")) as store:
-        store.beat("record", {"state": "recording", "presses": [], "acknowledged": 0})
-        store.beat("sense", {"state": sensor})
-
-        def come():
-            if not page.done():
-                page.set_result("Kerntemp is at http://127.0.0.1:8080/")
-
-        def show(_line):
-            happened.append("page")
-            store.beat("sense", {"state": "running"})
-
-        def begin(_message):
-            happened.append("press")
-            come()
-
-        if first == "page":
-            come()
-        children = SimpleNamespace(
-            first_line_of=lambda _: page, send_to_loggers=begin, loggers={"loggers": []}, check=lambda: None,
-            listen_to_loggers=lambda take: take({"first": {"header": {}, "until_s": 1.0}}),
-        )  # fmt: skip
-        _Demo(DemoPlan(folder=tmp_path), children, show).start(ending)
-    assert happened[0] == first
-    assert happened.count("press") == 1
-    assert "page" in happened
 
 
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):

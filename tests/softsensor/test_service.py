@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -31,7 +32,7 @@ from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.guarded import Guarded
-from softsensor.jobs.live_service import Follower, _compile, _details, _status
+from softsensor.jobs.live_service import Follower, _details
 from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
 from softsensor.jobs.run_fits import RunFits
 from softsensor.live.sensor import LiveSensor
@@ -630,15 +631,6 @@ def test_the_fitting_worker_ends_when_its_process_is_killed(tmp_path):
     wait_until(lambda: is_zombie(worker))
 
 
-@pytest.mark.parametrize(
-    ("state", "does"), [("starting", "compiling the model"), ("loading", "loading the model")]
-)
-def test_a_sensor_says_at_once_whether_it_compiles_or_loads(state, does):
-    said = []
-    _compile([], lambda: said.append(_status([], state)["message"]))
-    assert said[0].startswith(does)
-
-
 @pytest.mark.parametrize("compiled", [True, False])
 def test_the_fits_worker_lets_the_live_sensor_begin_first_unless_it_has_to_compile(monkeypatch, compiled):
     begun = []
@@ -649,6 +641,16 @@ def test_the_fits_worker_lets_the_live_sensor_begin_first_unless_it_has_to_compi
         fitter.warm_up_behind()
     assert fitter._later.finished.is_set()  # nothing comes after the sensor has ended
     assert begun == ([] if compiled else [True])
+
+
+def test_the_fits_worker_begins_where_fits_are_sent(monkeypatch):
+    """Two threads that met a lost worker would each replace it."""
+    begun = []
+    monkeypatch.setattr(Fitter, "warm_up", lambda _: begun.append(threading.current_thread().name))
+    with Fitter() as fitter:
+        fitter._begin_warming_up()
+        wait_until(lambda: begun)
+    assert begun[0].startswith("fits")
 
 
 def test_the_fits_worker_begins_in_a_while(monkeypatch):
