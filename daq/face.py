@@ -19,14 +19,14 @@ import pandas as pd
 
 from daq.files.frames import frame_of, run_of
 from daq.files.instants import STARTED
-from daq.files.legible import check_words
 from daq.files.qualities import OTHERS, row_faults
 from daq.files.run_file import read_run
+from daq.files.run_rows import check_no_words
 from daq.given import number_of, path_of, refused
 from daq.press.detector import PressEventDetector
 from daq.press.events import find_moments as find_run_moments
 from daq.press.faces import columns_of
-from daq.press.press_file import Press, read_press
+from daq.press.press_file import Press, overridden, read_press
 from daq.press.wires import Wires
 from daq.printed import in_short
 from daq.records import Channel, InputError, Moments, Quality, Run, Scan
@@ -234,8 +234,7 @@ def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
     Raises
     ------
     InputError
-        For a run without any column of the press's faces or wires, and words in a column that it takes numbers
-        from.
+        For a run without any column of the press's faces or wires, and words in one of these.
 
     Examples
     --------
@@ -245,8 +244,8 @@ def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
     >>> round(moments.opened_s - moments.closed_s), str(moments.source)
     (31, 'temperatures')
     """
-    described = _press(press)
-    return find_run_moments(_showing(_run(run), described), described)
+    found, own, _ = _showing(_run(run), _press(press))
+    return find_run_moments(found, own)
 
 
 def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
@@ -259,8 +258,7 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     Raises
     ------
     InputError
-        For a table without any column of the press's faces or wires, and words in a column that it takes numbers
-        from.
+        For a table without any column of the press's faces or wires, and words in one of these.
 
     Examples
     --------
@@ -269,9 +267,7 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     >>> find_events(run, press)["event"].tolist()
     ['inserted', 'closed', 'opened']
     """
-    described = _press(press)
-    run = _showing(_run(table), described)
-    detector = PressEventDetector(described)
+    run, _, detector = _showing(_run(table), _press(press))
     columns = {name: run.columns[name].tolist() for name in detector.looks_at(tuple(run.columns))}
     found = []
     for i, time_s in enumerate(run.time_s.tolist()):
@@ -286,14 +282,19 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     return events
 
 
-def _showing(run: Run, press: Press) -> Run:
-    """Return a run in which its press can be seen. Raises `InputError` for words among its readings, or none."""
-    check_words(run, press)
-    names = tuple(run.columns)
-    seen = {*itertools.chain(*columns_of(press).of_face(names)), *Wires(press.press).columns}
-    if press.has_states and seen.isdisjoint(names):
+def _showing(run: Run, press: Press) -> tuple[Run, Press, PressEventDetector]:
+    """Return a run, its press as the run's header has it, and what finds that press's events.
+
+    Raises `InputError` for a run in which the press cannot be seen, and for words where it is looked for.
+    """
+    own = overridden(press, run.header, run.source or run.name)
+    detector, names = PressEventDetector(own), tuple(run.columns)
+    for column in detector.looks_at(tuple(run.texts)):
+        check_no_words(run.source or run.name, column, run.texts[column])
+    seen = {*itertools.chain(*columns_of(own).of_face(names)), *Wires(own.press).columns}
+    if own.has_states and seen.isdisjoint(names):
         raise InputError(say("run-press-state-unknown", run=run.source or run.name))
-    return run
+    return run, own, detector
 
 
 def _run(given: AnyRun) -> Run:

@@ -16,7 +16,7 @@ from daq.files.qualities import OTHERS, rows_alike, without_unusable
 from daq.files.run_rows import TIME, Rows, check_names, check_rows, row_place
 from daq.files.table_columns import holds_numbers, numbers_in, rows_in
 from daq.given import keys_of, refused, warn
-from daq.press.header import check_header, doubts, flat_header
+from daq.press.header import check_header, doubts, flat_attrs, flat_header
 from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
 from daq.tables import at
 from daq.words import say
@@ -134,7 +134,7 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
         raise refused(frame, "given-no-table")
     given = {**frame.attrs, **keys_of(header, "given-no-header")}
     _check_labels(frame, given)
-    keys = from_json({**flat_header(frame.attrs), **flat_header(header or {})})
+    keys = from_json({**flat_attrs(frame.attrs), **flat_header(header or {})})
     name = str(keys.get("run", UNNAMED))
     check_names(name, [str(column) for column in frame.columns])
     given_times = _times_in(name, frame)

@@ -23,8 +23,9 @@ _DAY_S = 86400.0
 _LATE_STEPS = 10
 """What lies further back than so many of a file's own steps is no row that came late: with one a second a pause
 is read wrong where it lasts the hour but for 10 s. Its own step is the median of as many. By hand, 2026-11."""
-_SOME_DAY, _NO_DAY = date(2034, 11, 29), date(1900, 1, 1)
-"""A day whose year, month and day differ in every spelling, and Python's where a text gives none."""
+_SOME_DAY, _SOME_OTHER, _NO_DAY = date(2034, 11, 29), date(2033, 10, 27), date(1900, 1, 1)
+"""A day whose year, month and day differ in every spelling, one that differs from it in all, weekday and week too,
+and Python's where a text gives none."""
 
 
 class Row(NamedTuple):
@@ -43,8 +44,9 @@ def rows_in_order(path: Path, rows: Iterator[Row], names: Row, mapped: Mapped) -
     for row in rows:
         cell = " ".join(row.cells[place] for place in places)
         time_s = _time(path, row, cell, mapped, before, steps) + days
-        if daily and time_s < before - 0.5 * _DAY_S:
-            days, time_s = days + _DAY_S, time_s + _DAY_S
+        if daily:
+            another_day_s = _of_another_day(time_s, before, steps)
+            days, time_s = days + max(another_day_s, 0.0), time_s + another_day_s
         if start != start:
             start = time_s if mapped.time.from_zero or not counted else 0.0
         rounded = round(time_s - start, 6)
@@ -57,6 +59,21 @@ def rows_in_order(path: Path, rows: Iterator[Row], names: Row, mapped: Mapped) -
             steps.append(time_s - before)
         before, kept = time_s, rounded
         yield row, rounded
+
+
+def _of_another_day(time_s: float, before: float, steps: Collection[float]) -> float:
+    """Return what a time of day lacks: a day once a clock has passed midnight, less a day for a row of before it.
+
+    Late is what lies back by few of the file's own steps.
+    """
+    if time_s < before - 0.5 * _DAY_S:
+        return _DAY_S
+    return -_DAY_S if 0.0 <= before + _DAY_S - time_s <= _few(steps) else 0.0
+
+
+def _few(steps: Collection[float]) -> float:
+    """Return how far back a row may lie that came late. [s]"""
+    return _LATE_STEPS * statistics.median(steps) if steps else 0.0
 
 
 def _time(
@@ -114,8 +131,7 @@ def _local_instant(local: datetime, before: float, steps: Collection[float]) -> 
     comes_twice = again_s > first_s  # as an hour does when clocks are set back
     if not comes_twice or back_s < 0.0:
         return first_s
-    few_s = _LATE_STEPS * statistics.median(steps) if steps else 0.0
-    return first_s if back_s <= few_s and back_s < ahead_s else again_s
+    return first_s if back_s <= _few(steps) and back_s < ahead_s else again_s
 
 
 def _moment(cell: str, layout: str) -> datetime:
@@ -136,10 +152,13 @@ def is_dated(layout: str) -> bool:
 def is_daily(layout: str) -> bool:
     """Whether times of this format say the time of day alone.
 
-    >>> [is_daily(layout) for layout in ("iso", "%d.%m. %H:%M", "%H:%M", "clock", "seconds")]
-    [False, False, True, True, False]
+    >>> [is_daily(layout) for layout in ("iso", "%d.%m. %H:%M", "%a %H:%M", "%H:%M", "clock", "seconds")]
+    [False, False, False, True, True, False]
     """
-    return layout == "clock" or _date_read_back(layout) == _NO_DAY
+    if layout == "clock":
+        return True
+    same = "%" in layout and _SOME_DAY.strftime(layout) == _SOME_OTHER.strftime(layout)
+    return same and _date_read_back(layout) == _NO_DAY
 
 
 def _date_read_back(layout: str) -> date | None:

@@ -39,7 +39,7 @@ from daq.files.run_rows import (
     unescaped,
     utf8_line,
 )
-from daq.press.header import check_header, flat_header, flat_keys
+from daq.press.header import check_header, flat_attrs, flat_header, flat_keys
 from daq.records import Array, InputError, Run
 from daq.tables import LARGEST_BYTES, at, read_toml, reason_of
 from daq.words import say, spoken
@@ -293,7 +293,7 @@ def _parquet_header(path: Path, schema: pa.Schema) -> dict[str, Any]:
     attrs = _json_object(metadata.pop(_PANDAS_ATTRS, ""))
     own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
     header = {k: _metadata_value(v) for k, v in own.items()}
-    return from_json(flat_header(attrs, path)) | flat_header(header, path)
+    return from_json(flat_attrs(attrs, path)) | flat_header(header, path)
 
 
 def _time_column(path: Path, schema: pa.Schema) -> str:

@@ -77,6 +77,8 @@ _FREE = (_RECORDED, "setting", *_TABLES)
 """First parts of keys that need no warning: a plant's own settings, and overrides, which the press file checks."""
 _RECKONED = ("panel.", "ambient.", "setting.")
 """What keys begin with whose numbers fits, drift and the live sensor reckon with; any other is kept as it is."""
+_TABLES_OF_RUN = ("panel", "ambient", "setting", _RECORDED)
+"""First parts of keys that are of a run and of nothing else."""
 _ROOTS = ("panel", "ambient", "setting", *_TABLES)
 
 
@@ -110,6 +112,12 @@ def flat_header(tree: Mapping[str, Any], place: object = None) -> dict[str, Any]
             raise InputError(problem if place is None else at(place, problem))
         header[key] = value
     return header
+
+
+def flat_attrs(attrs: Mapping[str, Any], place: object = None) -> dict[str, Any]:
+    """Return the keys of a table's `attrs`, where pandas keeps anything: tables that are no run's stay whole."""
+    foreign = {k: v for k, v in attrs.items() if isinstance(v, Mapping) and k not in _TABLES_OF_RUN}
+    return flat_header({k: v for k, v in attrs.items() if k not in foreign}, place) | foreign
 
 
 def flat_if_tables(given: Any) -> Any:

@@ -796,8 +796,6 @@ header-unseen = Kopfschlüssel { $key } = { $value }: enthält unsichtbare Zeich
 header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
-live-column-misspelt = Spalte { $column } ist keine der Presse; gemeint ist { $platen }?
-live-columns-unknown = die Presse hat keine der Spalten { $columns }; sie liest { $known }
 live-sensor-of-press = Softsensor der Presse { $press }
 live-time-no-number = Abtastung um { $time }: ihre Zeit wird in Sekunden angegeben, als Zahl; bei einer Tabelle mit Zeitpunkten als Index die Sekunden seit deren erster Zeile
 live-time-not-rising = eine Messzeile bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einer bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen

@@ -796,8 +796,6 @@ header-unseen = header key { $key } = { $value }: holds characters that nobody s
 header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness
-live-column-misspelt = column { $column } is none of the press's; did you mean { $platen }?
-live-columns-unknown = the press has none of the columns { $columns }; it reads { $known }
 live-sensor-of-press = live sensor of press { $press }
 live-time-no-number = a scan at { $time }: its time is given in seconds, as a number; of a table indexed by instants give the seconds since its first row
 live-time-not-rising = a scan at { NUMBER($time_s, maximumFractionDigits: 3) } s after one at { NUMBER($newest_s, maximumFractionDigits: 3) } s: times must rise; begin a new LiveSensor for another run

@@ -15,12 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from threadpoolctl import ThreadpoolController
 
 from daq.printed import on_screen
 from daq.records import Array
@@ -323,20 +321,9 @@ def _evaluate_all(
 _POOL = ThreadPoolExecutor(2, thread_name_prefix="runs")
 
 
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return what may start threads of its own; found once, which takes 5 ms."""
-    return ThreadpoolController()
-
-
 def each_run(work: Callable[[int], RunState], count: int) -> list[RunState]:
-    """Do something for each run on two threads; the solver lets go of the interpreter meanwhile.
-
-    Linear algebra starts no threads beside these two: in a notebook, where nothing else keeps it from that, they
-    waited for one another.
-    """
-    with _libraries().limit(limits=1, user_api="blas"):
-        return list(_POOL.map(work, range(count)))
+    """Do something for each run on two threads; the solver lets go of the interpreter meanwhile."""
+    return list(_POOL.map(work, range(count)))
 
 
 def _within(unknowns: Sequence[Unknown], eta: Array) -> Array:

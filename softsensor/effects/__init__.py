@@ -89,8 +89,8 @@ def catalogue() -> dict[str, Effect]:
 def add_effect(effect: Effect) -> None:
     """Add an effect of one's own to the catalogue of this process, as an installed package's entry point does.
 
-    One of the same name that was added before gives way to it, as where the cell of a notebook runs once more;
-    what was worked out with the former one keeps that.
+    One of the same name that was added before gives way to it, as where the cell of a notebook runs once more.
+    Results keep their numbers; what is worked out from now on, also with an older model, is by the new one.
 
     Raises
     ------

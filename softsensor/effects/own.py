@@ -141,7 +141,7 @@ def _odd(name: str, value: Any, size: int = 0, *, alone: bool = True, finite: bo
 
 
 def _odd_pair(name: str, pair: Any) -> Iterator[Message]:
-    if not isinstance(pair, tuple) or len(pair) != 2:
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
         yield say("effect-terms-no-pair", term=name, found=in_short(pair))
     else:
         for value in pair:

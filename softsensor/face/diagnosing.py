@@ -83,8 +83,8 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         """Show verdict, causes, error before and after, what to measure next, and what is to be known besides."""
         head, *rest = self._lines()
-        digits: dict[str, Any] = {"float_format": "%.4g", "na_rep": UNKNOWN, "line_width": WIDTH, "max_rows": 12}
-        table = [self.frame().to_string(**digits)] if len(self.frame()) else []
+        how: dict[str, Any] = {"na_rep": UNKNOWN, "line_width": WIDTH, "max_rows": 12}
+        table = [self.frame().to_string(float_format="%.4g".__mod__, **how)] if len(self.frame()) else []
         return printed([[line] for line in rest], above="\n".join([fill(head, WIDTH), *table]))
 
     def _repr_html_(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ from daq.press.header import check_header, doubts, flat_header
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, in_short, on_screen
 from daq.records import InputError, matches
-from daq.tables import nearest
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
@@ -99,8 +98,8 @@ class LiveSensor(ScanSensor):
         ------
         InputError
             For a time that is no number or does not rise, values without names, one that is no number, and at the
-            first scan for what press or panel lacks in the header, a platen's column that is spelled otherwise,
-            and columns of which the press knows none.
+            first scan for what press or panel lacks in the header. A platen that no column names is one without a
+            reading.
         """
         at = None if isinstance(time_s, bool | np.bool_) else reading_of(time_s)
         if at is None or (at != at and not isinstance(time_s, float)):
@@ -110,19 +109,8 @@ class LiveSensor(ScanSensor):
         newest_s = -math.inf if self._newest is None else self._newest.time_s
         if not newest_s < at < math.inf:
             raise InputError(say("live-time-not-rising", time_s=at, newest_s=newest_s))
-        if self._newest is None:
-            self._check_names([str(name) for name in values.keys()])  # noqa: SIM118 - a Series iterates over values
         self._newest = super().update(at, self._readings(values))
         return self._newest
-
-    def _check_names(self, names: Sequence[str]) -> None:
-        """Refuse a misspelt platen, and columns that are another press's. Raises `InputError`."""
-        spare = [name for name in names if name not in self._platens]
-        for platen in self._platens:
-            if platen not in names and (meant := nearest(platen, spare)) is not None:
-                raise InputError(say("live-column-misspelt", column=meant, platen=platen))
-        if names and not any(name in self._platens or matches(name, self._of_numbers) for name in names):
-            raise InputError(say("live-columns-unknown", columns=tuple(names[:20]), known=tuple(self._of_numbers)))
 
     def _readings(self, values: AnyScan) -> dict[str, float]:
         """Return a scan's usable numbers; a platen that is not there is one without a reading."""

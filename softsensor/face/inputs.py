@@ -13,7 +13,7 @@ from daq.files.instants import from_json
 from daq.files.legible import check_each_once, kelvin_doubt, legible
 from daq.files.run_file import read_run as read_run_file
 from daq.given import keys_of, path_of, refused, warn
-from daq.press.header import check_header, flat_header, new_doubts
+from daq.press.header import check_header, flat_attrs, flat_header, new_doubts
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
@@ -59,7 +59,7 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
         return run_of(source, keys_of(header, "given-no-header"))
     if isinstance(source, Run):
         nested = any(isinstance(value, Mapping) for value in source.header.values())
-        found = replace(source, header=flat_header(source.header)) if nested else source
+        found = replace(source, header=flat_attrs(source.header)) if nested else source
     elif mapping is not None:
         from daq.files.mapping import read_foreign, read_mapping
 
@@ -69,7 +69,7 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     before = source.header if isinstance(source, Run) else {}
     if header is not None:
         given = from_json(flat_header(keys_of(header, "given-no-header")))
-        keys = {**flat_header(found.header), **given}
+        keys = {**flat_attrs(found.header), **given}
         check_header(given, "read_run")
         check_header(keys, found.source or found.name)
         found = replace(found, header=keys, name=str(keys.get("run", found.name)))

@@ -24,20 +24,20 @@ UNKNOWN = "–"
 
 WIDTH = 100
 """Characters of a line that print narrow, as a notebook beside its list of files. Set by hand, 2026-11."""
+SCREEN, HEAD = LINES + 4, 2
+"""Lines of what prints: a terminal's 25 but for that of its prompt; of these what stands above a table."""
 
 
 def table_html(frame: pd.DataFrame, digits: str = "%.4g") -> str:
     """Return a table for a notebook, long ones shortened; a dash where a number is not known."""
-    return str(frame.to_html(float_format=digits, max_rows=24, na_rep=UNKNOWN))
+    return str(frame.to_html(float_format=digits.__mod__, max_rows=24, na_rep=UNKNOWN))
 
 
 def table_text(frame: pd.DataFrame, digits: str) -> str:
     """Return a table's first and last rows as they print, columns beyond the width below one another."""
-    return str(frame.to_string(max_rows=8, float_format=digits, na_rep=UNKNOWN, line_width=WIDTH))
-
-
-SCREEN = LINES + 4
-"""Lines of what prints: a terminal's 25 but for that of its prompt."""
+    how: dict[str, Any] = {"float_format": digits.__mod__, "na_rep": UNKNOWN, "line_width": WIDTH}
+    texts = (str(frame.to_string(max_rows=rows, **how)) for rows in (8, 6, 4, 2))
+    return next((text for text in texts if len(text.splitlines()) <= SCREEN - HEAD), "")
 
 
 def lines_html(lines: Iterable[Message | str]) -> str:

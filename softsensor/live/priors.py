@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 
@@ -314,7 +314,6 @@ def panel_plan(
     return FilterPlan((Unknown("initial_K", 0.0, initial_sd), *own, *unowned), (), 1.0, "", {})
 
 
-@cache
 def is_straight(name: str) -> bool:
     """Return whether readings follow an effect's parameter, or the skin, in a straight line (`Live.straight`)."""
     if name == SKIN:
@@ -323,8 +322,8 @@ def is_straight(name: str) -> bool:
     return effect.live.straight and name == effect.key(effect.parameters[0].name)
 
 
-@cache
 def _parameter(name: str) -> Parameter:
+    """Return an effect's parameter as it is now: one of one's own may have been added once more."""
     effect = find_effect(name.partition(".")[0])
     return next(p for p in effect.parameters if effect.key(p.name) == name)
 

@@ -453,6 +453,20 @@ def test_a_time_of_day_passes_midnight_and_gives_no_date(tmp_path, layout, cells
     assert "recorded.started_utc" not in run.header
 
 
+@pytest.mark.parametrize("layout", ["clock", "%H:%M:%S"])
+def test_a_row_of_before_midnight_that_comes_late_is_no_day_further_on(tmp_path, layout):
+    cells = ["23:59:58", "23:59:59", "00:00:00", "23:59:59", "00:00:01", "00:00:02"]
+    with pytest.raises(InputError, match="line 5: column t: '23:59:59'"):
+        _timed(tmp_path, layout, cells)
+    run = _timed(tmp_path, layout, cells, 'repeated = "first"')
+    assert run.time_s.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_a_time_of_a_weekday_is_no_time_of_day_alone(tmp_path):
+    with pytest.raises(InputError, match="line 3: column t: 'Mon 06:00:00'"):
+        _timed(tmp_path, "%a %H:%M:%S", ["Fri 23:50:00", "Mon 06:00:00"])
+
+
 def test_a_date_without_its_year_is_no_date(tmp_path):
     run = _timed(tmp_path, "%d.%m. %H:%M:%S", ["04.03. 23:59:59", "05.03. 00:00:01"], 'zone = "Europe/Berlin"')
     assert run.time_s.tolist() == [0.0, 2.0]

@@ -12,7 +12,6 @@ from typing import cast
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from daq.press.press_file import Press, parse_press
 from daq.records import Array, InputError, Moments, Run
@@ -37,7 +36,6 @@ from softsensor.diagnosis.extension import (
     STUCK,
     RunState,
     bounded_offsets,
-    each_run,
     evaluate,
     fit_campaign_model,
     from_the_others,
@@ -101,20 +99,6 @@ def campaign(effect: str | None, seed: int, runs: int, core: float = 0.0) -> tup
 @cache
 def diagnosed(effect: str | None, seed: int, runs: int = 7, core: float = 0.0) -> Diagnosis:
     return diagnose(press(), [run for run, _ in campaign(effect, seed, runs, core)])
-
-
-def test_linear_algebra_has_one_thread_while_two_work_on_runs_and_what_it_had_afterwards() -> None:
-    """In a notebook nothing else keeps it from starting threads of its own."""
-
-    def threads(_: int = 0) -> list[int]:
-        return [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
-
-    with threadpool_limits(2, user_api="blas"):
-        before = threads()
-        while_working = each_run(threads, 3)  # type: ignore[arg-type, type-var]
-        assert threads() == before
-    assert while_working == [[1] * len(before)] * 3
-    assert max(before) == 2
 
 
 def test_a_campaign_without_a_hidden_effect_gets_no_name() -> None:

@@ -39,6 +39,7 @@ from softsensor.effects.own import check_effect
 from softsensor.effects.parameters import Parameter
 from softsensor.effects.vocabulary import coefficient_words
 from softsensor.heat.model import ThermalModel
+from softsensor.live.priors import _parameter, is_straight
 from softsensor.opening.steam import equilibrium_moisture
 
 ROOT = Path(__file__).parents[2]
@@ -421,6 +422,13 @@ def test_runs_are_asked_for_an_effect_that_is_added_later_and_as_it_is_now(own):
     own(own_effect())
     own(second := own_effect(chance=0.03))
     assert {name: way.effect for name, way in ways().items() if name not in before} == {"hood.W_m3K": second}
+
+
+def test_the_live_sensor_too_takes_an_effect_as_it_is_now(own):
+    for typical, straight in ((4000.0, True), (400.0, False)):
+        changed = own_effect(size={"typical": typical}, live=Live(Role.HYPOTHESIS, straight=straight))
+        own(changed)
+        assert (_parameter("hood.W_m3K").typical, is_straight("hood.W_m3K")) == (typical, straight)
 
 
 def test_an_effect_that_is_added_once_more_counts_as_it_is_now_and_so_do_its_words(own, lab_press):

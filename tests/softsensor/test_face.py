@@ -10,6 +10,7 @@ import pickle
 import re
 import subprocess
 import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from datetime import UTC, datetime
@@ -912,6 +913,23 @@ def test_what_is_to_be_known_of_a_diagnosis_stands_in_what_it_prints_and_in_the_
     assert rows_of(repr(found)) <= ROWS
 
 
+def test_a_prediction_with_a_resin_and_a_long_reason_prints_on_one_screen():
+    with warnings.catch_warnings(action="ignore"):
+        run = softsensor.read_run(softsensor.read_run(SHORT), header={"panel.initial_temperature_C": 45.0})
+        found = softsensor.predict(run, LAB, resin=daq.shared_files() / "resins/melamine_formaldehyde.toml")
+    assert "start temperature contradicted" in repr(found)
+    assert rows_of(repr(found)) <= ROWS
+
+
+def test_a_diagnosis_with_a_faulty_channel_in_all_runs_prints_beside_its_other_causes():
+    runs = [daq.frame_of(softsensor.read_run(sample)).assign(top_3=20.0) for sample in SAMPLES[3:6]]
+    found = softsensor.diagnose(runs, LAB, effects="edge_loss")
+    assert len(found.frame()) > 1
+    for view in (repr(found), found._repr_html_()):
+        assert "sensor_fault" in view
+        assert "top_3" in view
+
+
 def test_a_fit_of_many_runs_with_much_to_be_known_prints_on_one_screen(fitted):
     run = fitted.campaign.runs[0]
     remarks = [say("channel-empty", column=f"top_{number}") for number in range(30)]
@@ -1000,12 +1018,6 @@ def test_a_fits_json_is_that_of_the_command_but_for_profiles_which_are_there_whe
 @pytest.mark.parametrize(
     ("time_s", "values", "expected"),
     [
-        (
-            0.0,
-            {"platen_bottm": 200.0, "platen_top": 200.0},
-            "column platen_bottm is none of the press's; did you mean",
-        ),
-        (0.0, {"temperature_a": 20.0}, "the press has none of the columns temperature_a; it reads"),
         (None, {"platen_top": 200.0}, "a scan at None: its time is given in seconds"),
         (pd.NaT, {"platen_top": 200.0}, "a scan at NaT: its time is given in seconds"),
     ],
@@ -1305,6 +1317,43 @@ def test_a_table_that_shows_nothing_of_the_press_is_refused_where_its_moments_ar
             find(foreign, LAB)
         with pytest.raises(daq.InputError, match=r"row 2: column top_1: 'hot' is not a number"):
             find(worded, LAB)
+
+
+def test_moments_are_found_by_the_wire_that_the_runs_header_names():
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    closed, opened = (daq.find_moments(SHORT, LAB).closed_s, daq.find_moments(SHORT, LAB).opened_s)
+    table = table[["platen_top", "platen_bottom"]].assign(door=0.0, note="by hand")
+    table.loc[(table.index >= closed) & (table.index < opened), "door"] = 1.0
+    table.attrs = {"press.limit_switch": "door"}
+    found = daq.find_moments(table, LAB)
+    assert (found.closed_s, found.opened_s) == pytest.approx((closed, opened), abs=1.01)  # a row
+    assert {"closed", "opened"} <= set(daq.find_events(table, LAB)["event"])
+    worded = table.assign(door="no")
+    for find in (daq.find_events, daq.find_moments):
+        with pytest.raises(daq.InputError, match="column door: 'no' is not a number"):
+            find(worded, LAB)
+
+
+def test_words_in_a_column_that_shows_no_movement_of_the_press_hide_none():
+    table = daq.frame_of(softsensor.read_run(SHORT)).assign(core_1="n/a")
+    assert daq.find_events(table, LAB)["event"].tolist() == daq.find_events(SHORT, LAB)["event"].tolist()
+    assert daq.find_moments(table, LAB) == daq.find_moments(SHORT, LAB)
+
+
+@pytest.mark.parametrize(
+    "own", [{"press": {"operator": "Ann"}}, {"sensors": {"top_1": "K"}}, {"remark": {"a": 1}}]
+)
+def test_what_else_stands_in_a_tables_attrs_is_no_header(own, tmp_path):
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    table.attrs |= {**own, "panel": {"density_kg_m3": 712.0}}
+    del table.attrs["panel.density_kg_m3"]
+    table.to_parquet(tmp_path / "a.parquet")
+    for source in (table, tmp_path / "a.parquet"):
+        with warnings.catch_warnings(action="ignore"):
+            run = softsensor.read_run(softsensor.read_run(source))
+            simulated = softsensor.simulate(run, LAB)
+        assert run.header["panel.density_kg_m3"] == 712.0
+        assert len(simulated.frame()) == len(table)
 
 
 def test_columns_are_left_out_by_one_text_with_commas_as_on_the_command_line():
