@@ -18,6 +18,9 @@ from daq.words import Message, say, spoken
 LOG = logging.getLogger("kerntemp")
 BEAT_S = 1.0
 """How often a process gives a sign of life. By hand, 2026-11. [s]"""
+BEHIND_S = 2.0 * BEAT_S
+"""Two signs of life after a process does its work, what that does not need is loaded: at a start all of them are
+busy. [s]"""
 IN_USE_S = 7 * 86400.0
 """What is unheard of for longer, a press, a machine, a way to people, is taken for gone: a weekend is shorter.
 [s]"""

@@ -43,7 +43,7 @@ from api.http.routes.common import only_known_queries
 from api.http.tokens import Attempts, TokenFile
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import BEAT_S
+from daq.supervision import BEHIND_S
 from daq.words import say
 from daq.words.message import ENGLISH, languages, words
 
@@ -55,9 +55,6 @@ Reading is free on loopback; from elsewhere it needs `Authorization: Bearer` wit
 Every change needs scope `write`. Lists come in pages: hand `next_cursor` back as `cursor` until it is null.
 Errors are problem documents (RFC 9457). Units stand in the field names; instants are UTC; missing is null.
 """
-BEHIND_S = 2.0 * BEAT_S
-"""So long after the page is there, what its first view does not need is loaded: two signs of life, as the fits'
-worker of the live sensor waits. [s]"""
 SECURITY_HEADERS = {
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'self'",

@@ -15,16 +15,12 @@ from daq.words import Message, say
 
 def legible(run: Run, press: Press) -> Run:
     """Return the run. Raises `InputError` where a column of words is one that the press takes numbers from."""
-    check_words(run, press_for_run(press, run))
-    return run
-
-
-def check_words(run: Run, press: Press) -> None:
-    """Refuse words in a column that the press takes numbers from. Raises `InputError`."""
-    wanted = of_numbers(press)
+    own = press_for_run(press, run)
+    wanted = of_numbers(own)
     for column, cells in run.texts.items():
         if matches(column, wanted):
             check_no_words(run.source or run.name, column, cells)
+    return run
 
 
 def of_numbers(press: Press) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ from daq.files.run_rows import (
     unescaped,
     utf8_line,
 )
-from daq.press.header import check_header, flat_attrs, flat_header, flat_keys
+from daq.press.header import check_header, flat_attrs, flat_header, flat_keys, stated_keys
 from daq.records import Array, InputError, Run
 from daq.tables import LARGEST_BYTES, at, read_toml, reason_of
 from daq.words import say, spoken
@@ -108,7 +108,7 @@ def write_run(run: Run, path: Path) -> None:
         raise InputError(at(path, say("run-column-length", column=odd[0])))
     check_rows(str(path), Rows(dict(zip(names, columns, strict=True)), {}))
     if path.suffix.lower() in (".parquet", ".pq"):
-        metadata = {key: toml_value(value) for key, value in flat_keys(header) if value is not None}
+        metadata = {key: toml_value(value) for key, value in stated_keys(header)}
         fields = [pa.field(n, pa.float64()) for n in names] + [pa.field(n, pa.string()) for n in run.texts]
         arrays = [pa.array(c, from_pandas=True) for c in columns] + [pa.array(t) for t in run.texts.values()]
         table = pa.table(arrays, schema=pa.schema(fields, metadata=metadata))
@@ -158,8 +158,7 @@ def _csv_pieces(
     texts: Mapping[str, tuple[str, ...]],
 ) -> Iterator[str]:
     """Yield the text of a run file, some rows at a time."""
-    written = ((key, value) for key, value in flat_keys(header) if value is not None)
-    for key, value in written:
+    for key, value in stated_keys(header):
         yield f"# {_AFTER_COMMA.sub(_in_digits, toml_line(key, value))}\n"
     yield ",".join(csv_cell(name) for name in (*names, *texts)) + "\n"
     for start in range(0, len(columns[0]), _ROWS_AT_ONCE):

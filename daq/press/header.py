@@ -97,6 +97,11 @@ def flat_keys(tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield key, value
 
 
+def stated_keys(header: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield a header's dotted keys as they are written: those that have a value."""
+    return ((key, value) for key, value in flat_keys(header) if value is not None)
+
+
 def flat_header(tree: Mapping[str, Any], place: object = None) -> dict[str, Any]:
     """Return a header's keys, also those that were given as tables.
 

@@ -21,7 +21,7 @@ from daq.files.parquet_columns import BESIDE, LAST_PLACE, MICRO, TIME_DECIMALS, 
 from daq.files.qualities import QUALITY, quality_text
 from daq.files.run_file import toml_value
 from daq.files.run_rows import TIME
-from daq.press.header import flat_keys
+from daq.press.header import stated_keys
 from daq.records import Array
 from daq.store.proved_file import Written, read_proved, write_proved
 
@@ -113,9 +113,7 @@ def _columns_of(
         "layout": int(scans.layout[0]) if len(scans) else 0,
         "zero_us": round(MICRO * about.get("zero_s", 0.0)),
     }
-    made = Columns(
-        metadata=metadata, header={key: toml_value(value) for key, value in flat_keys(header) if value is not None}
-    )
+    made = Columns(metadata=metadata, header={key: toml_value(value) for key, value in stated_keys(header)})
     _add_times(made, scans)
     for name, values in _by_channel(scans, channels):
         made.add_values(name, values)

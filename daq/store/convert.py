@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from daq.files.run_file import toml_line
-from daq.press.header import flat_keys
+from daq.press.header import flat_keys, stated_keys
 from daq.records import Array, Channel, Quality
 
 # Numbers without another source were set by hand, 2026-11.
@@ -121,7 +121,7 @@ def channel_qualities(channels: Sequence[Channel], faults: str | None) -> tuple[
 
 def header_text(header: Mapping[str, Any]) -> str:
     """Write header keys, one TOML line each."""
-    return "".join(toml_line(key, value) + "\n" for key, value in flat_keys(header) if value is not None)
+    return "".join(toml_line(key, value) + "\n" for key, value in stated_keys(header))
 
 
 def header_of(text: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_messages
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.face.inputs import read_press, runs_of
-from softsensor.face.showing import UNKNOWN, WIDTH, head_html, lines_html, printed, shown, table_html
+from softsensor.face.showing import WIDTH, head_html, lines_html, printed, shown, table_html, table_text
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import diagnosed_model
 
@@ -83,8 +83,7 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         """Show verdict, causes, error before and after, what to measure next, and what is to be known besides."""
         head, *rest = self._lines()
-        how: dict[str, Any] = {"na_rep": UNKNOWN, "line_width": WIDTH, "max_rows": 12}
-        table = [self.frame().to_string(float_format="%.4g".__mod__, **how)] if len(self.frame()) else []
+        table = [table_text(self.frame(), "%.4g", rows=12)] if len(self.frame()) else []
         return printed([[line] for line in rest], above="\n".join([fill(head, WIDTH), *table]))
 
     def _repr_html_(self) -> str:

@@ -69,7 +69,7 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     before = source.header if isinstance(source, Run) else {}
     if header is not None:
         given = from_json(flat_header(keys_of(header, "given-no-header")))
-        keys = {**flat_attrs(found.header), **given}
+        keys = {**found.header, **given}
         check_header(given, "read_run")
         check_header(keys, found.source or found.name)
         found = replace(found, header=keys, name=str(keys.get("run", found.name)))

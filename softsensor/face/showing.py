@@ -33,11 +33,14 @@ def table_html(frame: pd.DataFrame, digits: str = "%.4g") -> str:
     return str(frame.to_html(float_format=digits.__mod__, max_rows=24, na_rep=UNKNOWN))
 
 
-def table_text(frame: pd.DataFrame, digits: str) -> str:
+def table_text(frame: pd.DataFrame, digits: str, rows: int = 8) -> str:
     """Return a table's first and last rows as they print, columns beyond the width below one another."""
     how: dict[str, Any] = {"float_format": digits.__mod__, "na_rep": UNKNOWN, "line_width": WIDTH}
-    texts = (str(frame.to_string(max_rows=rows, **how)) for rows in (8, 6, 4, 2))
-    return next((text for text in texts if len(text.splitlines()) <= SCREEN - HEAD), "")
+    while True:
+        text = str(frame.to_string(max_rows=rows, **how))
+        if rows <= 2 or len(text.splitlines()) <= SCREEN - HEAD:
+            return text
+        rows -= 2
 
 
 def lines_html(lines: Iterable[Message | str]) -> str:

@@ -33,7 +33,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.printed import in_notebook, in_short, on_screen
 from daq.records import KEYS_SHOWN, Array, InputError
-from daq.words import say
+from daq.words import Message, say
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
 
@@ -115,6 +115,12 @@ class Sisters:
     """By coefficient."""
 
 
+def check_fitted(found: object, source: str | Message, place: str) -> None:
+    """Refuse what is no value with a standard deviation. Raises `InputError`."""
+    if not isinstance(found, FittedValue):
+        raise InputError(say("model-file-no-numbers", file=source, place=place, value=in_short(found)))
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class ModelFile:
     """Coefficients and effects of one press, as a campaign found them.
@@ -150,9 +156,7 @@ class ModelFile:
         tables += [(f"effects.{n}.parameters", table) for n, (_, table) in enumerate(self.effects)]
         for where, table in tables:
             for name, one in table.items():
-                if not isinstance(one, FittedValue):
-                    source, place = say("place-model", version=self.version), f"{where}.{name}"
-                    raise InputError(say("model-file-no-numbers", file=source, place=place, value=in_short(one)))
+                check_fitted(one, say("place-model", version=self.version), f"{where}.{name}")
 
     def __eq__(self, other: object) -> bool:
         """Return whether another model holds the same."""

@@ -30,6 +30,7 @@ from softsensor.heat.model_file import (
     Scatter,
     Sisters,
     SisterScatter,
+    check_fitted,
 )
 from softsensor.heat.run_checks import LARGEST
 
@@ -249,10 +250,9 @@ def _check_parameters(
             raise InputError(problem)
 
 
-def _check_numbers(found: object, source: str | Message, place: str) -> None:
+def _check_numbers(found: FittedValue, source: str | Message, place: str) -> None:
     """Refuse what is not a value with a standard deviation."""
-    if not isinstance(found, FittedValue):
-        raise InputError(say("model-file-no-numbers", file=source, place=place, value=in_short(found)))
+    check_fitted(found, source, place)
     if not 0.0 <= number_of(found.sd) < math.inf:
         raise InputError(say("model-file-sd", file=source, place=place, value=in_short(found.sd)))
 

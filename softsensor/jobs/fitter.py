@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Run
-from daq.supervision import BEAT_S
+from daq.supervision import BEHIND_S
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.first_start import WorkKind, compile_for, kept
 
@@ -27,9 +27,6 @@ LOG = logging.getLogger("kerntemp.sense")
 
 TRIES = 2
 """Workers a fit is given: one may be killed for what others use of the memory, two hardly."""
-BEHIND_S = 2.0 * BEAT_S
-"""Two signs of life after the live sensor follows its fits' worker is started, which nobody needs before a press
-opens: that takes most of a second of a core (2026-11-30), from the first core of a start. [s]"""
 LONGEST_S = 1800.0
 """A worker that does not answer for so long stands still: a fit takes seconds, compiling before the first minutes,
 on a slow machine a quarter of an hour. [s]"""
@@ -62,7 +59,11 @@ class Fitter:
             return self._pool.submit(_warm_up)
 
     def warm_up_behind(self) -> None:
-        """Do so in a while, where that takes no longer than loading what is compiled already."""
+        """Do so in a while, where that takes no longer than loading what is compiled already.
+
+        Nobody needs it before a press opens, and it takes most of a second of a core (2026-11-30), from the first
+        core of a start.
+        """
         if kept(WorkKind.FIT):
             self._later.start()
         else:

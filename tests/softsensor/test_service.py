@@ -643,24 +643,16 @@ def test_the_fits_worker_lets_the_live_sensor_begin_first_unless_it_has_to_compi
     assert begun == ([] if compiled else [True])
 
 
-def test_the_fits_worker_begins_where_fits_are_sent(monkeypatch):
+def test_the_fits_worker_begins_in_a_while_where_fits_are_sent(monkeypatch):
     """Two threads that met a lost worker would each replace it."""
-    begun = []
-    monkeypatch.setattr(Fitter, "warm_up", lambda _: begun.append(threading.current_thread().name))
-    with Fitter() as fitter:
-        fitter._begin_warming_up()
-        wait_until(lambda: begun)
-    assert begun[0].startswith("fits")
-
-
-def test_the_fits_worker_begins_in_a_while(monkeypatch):
     begun = []
     monkeypatch.setattr("softsensor.jobs.fitter.kept", lambda _: True)
     monkeypatch.setattr("softsensor.jobs.fitter.BEHIND_S", 0.0)
-    monkeypatch.setattr(Fitter, "warm_up", lambda _: begun.append(True))
+    monkeypatch.setattr(Fitter, "warm_up", lambda _: begun.append(threading.current_thread().name))
     with Fitter() as fitter:
         fitter.warm_up_behind()
         wait_until(lambda: begun)
+    assert begun[0].startswith("fits")
 
 
 def kill_here():
