@@ -628,6 +628,9 @@ class Fit(_Answer):
     rmse_K: float | None = None  # noqa: N815
     rmse_closed_K: float | None = None  # noqa: N815
     initial_rmse_K: float | None = None  # noqa: N815
+    rmse_still_K: float | None = None  # noqa: N815
+    """As `rmse_K`, rows left out in which the press or the panel is being moved. [K]"""
+    initial_rmse_still_K: float | None = None  # noqa: N815
     seconds: float | None = None
     closed_s: float | None = None
     opened_s: float | None = None

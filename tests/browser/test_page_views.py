@@ -1170,6 +1170,21 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant, se
     expect(page.locator("h1 + .pill")).to_have_class("pill idle")  # a complete record is no good fit
 
 
+def test_a_fit_is_further_off_than_its_guesses_only_where_nothing_moves(plant, served):
+    address, page, _ = plant
+    fit = page.locator("[data-testid=fit]")
+    found = {"run": "campaign-1", "converged": True, "coefficients": {}, "warnings": [], "warnings_said": []}
+    amid_closing = {"rmse_K": 2.22, "initial_rmse_K": 0.9}
+    for still, pill in ((0.39, "converged"), (0.61, "further off than its guesses")):
+        rest = {"rmse_still_K": still, "initial_rmse_still_K": 0.55}
+        served[1].store.put_fit("campaign-1", found | amid_closing | rest, "")
+        page.goto(address + "#/runs/campaign-1")
+        page.reload()
+        expect(fit.locator(".pill").first).to_have_text(pill)
+        expect(fit).to_contain_text("RMSE 0.90 K at the guesses → 2.22 K")
+        expect(fit).to_contain_text(f"0.55 K at the guesses → {still} K")
+
+
 def test_a_run_the_model_does_not_describe_is_marked_in_the_list(served):
     server, feed, page = served
     feed.pause_s = 0.0

@@ -247,16 +247,21 @@ function profileCard(run, simulation) {
 
 function fitCard(fit, { described }) {
   if (!fit) return el("section", { class: "card" }, el("h2", {}, text("page-fit")), el("p", { class: "faint" }, text("page-no-fit")));
-  const shown = (value) => Number((value ?? NaN).toFixed(2));
-  const further = shown(fit.rmse_K) > shown(fit.initial_rmse_K); // of the figures shown below
-  const state = described === false ? ["bad", "page-not-described"] : !fit.converged ? ["warn", "page-not-converged"] : further ? ["warn", "page-further-off"] : ["good", "page-converged"];
+  const whole = [fit.initial_rmse_K, fit.rmse_K], still = [fit.initial_rmse_still_K, fit.rmse_still_K];
+  const known = still.every(Number.isFinite); // one row amid the closing, some ms off, may be most of the whole run's
+  const [before, after] = (known ? still : whole).map((value) => Number((value ?? NaN).toFixed(2))); // as shown below
+  const state = described === false ? ["bad", "page-not-described"] : !fit.converged ? ["warn", "page-not-converged"] : after > before ? ["warn", "page-further-off"] : ["good", "page-converged"];
   // Of a run the model does not describe nothing is known: what a search ended at has no interval.
   const coefficients = described !== false ? fit.coefficients : Object.fromEntries(Object.entries(fit.coefficients).map(([name, c]) => [name, { ...c, ci95: null }]));
   return el("section", { class: "card", "data-testid": "fit" }, el("div", { class: "head" }, el("h2", {}, text("page-fit")),
     el("span", { class: `pill ${state[0]}` }, text(state[1]))),
   coefficientTable(coefficients),
-  el("p", { class: "small faint" }, text("page-fit-left", { before: number(fit.initial_rmse_K, 2), after: number(fit.rmse_K, 2) })),
+  fitLeft("page-fit-left", whole), known ? fitLeft("page-fit-left-still", still) : null,
   fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, inWords(fit.warnings_said?.[i], warning)))) : null);
+}
+
+function fitLeft(code, [before, after]) {
+  return el("p", { class: "small faint" }, text(code, { before: number(before, 2), after: number(after, 2) }));
 }
 
 // Two time axes on one chart: their union, each series lifted onto it.
