@@ -1,8 +1,9 @@
 """The next pressings worth most: settings within the user's ranges, and what each would settle.
 
-Settings are found by coordinate exchange (Meyer, Nachtsheim, Technometrics 37:60, 1995): from the usual settings
-one factor after the other goes to the end of its range that is worth most, until a round changes nothing. Ends
-only: what a factor does to the readings grows with its distance from the usual in all that was tried here.
+Settings are found by coordinate exchange (Meyer, Nachtsheim, Technometrics 37:60, 1995): from the settings within
+the ranges that are nearest to the usual ones, one factor after the other goes to the end of its range that is
+worth most, until a round changes nothing. Ends only: what a factor does to the readings grows with its distance
+from the usual in all that was tried here.
 """
 
 from __future__ import annotations
@@ -77,7 +78,8 @@ class PointAdvice:
     best: PlannedPressing
     """Within the ranges, the sensors as they are."""
     with_core: PlannedPressing | None
-    """The best or the usual settings with a thermocouple in the core besides; None without a panel."""
+    """The best settings, or those nearest to the usual ones, with a thermocouple in the core besides; None without
+    a panel."""
 
     __repr__ = on_screen
 
@@ -132,6 +134,8 @@ class _WorkedOut:
     stage: SettledModel
     like: Digest
     usual: Settings
+    nearest: Settings
+    """To the usual ones, within the ranges."""
     constants: tuple[str, ...]
     known: dict[tuple[tuple[tuple[str, float], ...], bool], DesignPoint | None] = field(default_factory=dict)
 
@@ -204,7 +208,8 @@ def plan(
         points += open_numbers(found.final, past, constants)
     middle = _middle(settings)
     usual = {name: round(settings[middle][name], 1) for name in allowed if name in settings[middle]}
-    bench = _WorkedOut(press, stage, digests[middle], usual, constants)
+    nearest = usual | {name: min(max(usual[name], low), high) for name, (low, high) in ranges.items()}
+    bench = _WorkedOut(press, stage, digests[middle], usual, nearest, constants)
     advised = []
     for i, point in enumerate(points):
         report(point.name, (i + 1) / (len(points) + 1))
@@ -232,10 +237,9 @@ def _middle(settings: Sequence[Settings]) -> int:
 
 
 def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> PointAdvice | None:
-    repeated = bench.pressing(point, bench.usual)
-    if repeated is None:
+    repeated, best = (bench.pressing(point, settings) for settings in (bench.usual, bench.nearest))
+    if repeated is None or best is None:
         return None
-    best = repeated
     for _ in range(ROUNDS):
         before = best
         for name in bench.usual:
@@ -246,17 +250,17 @@ def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> PointAdvice 
 
 
 def _with_core(bench: _WorkedOut, point: OpenPoint, best: PlannedPressing) -> PlannedPressing | None:
-    """Return the best or the usual settings, whichever is worth more with a thermocouple in the core."""
+    """Return the best settings or those nearest to the usual, whichever is worth more with a core thermocouple."""
     if not bench.press.panel_layers:
         return None
-    both = [bench.pressing(point, settings, core=True) for settings in (best.settings, bench.usual)]
+    both = [bench.pressing(point, settings, core=True) for settings in (best.settings, bench.nearest)]
     return max((p for p in both if p is not None), key=lambda p: p.prospect.worth, default=None)
 
 
 def _best_level(
     bench: _WorkedOut, point: OpenPoint, best: PlannedPressing, name: str, ends: tuple[float, float]
 ) -> PlannedPressing:
-    for level in {*ends, bench.usual[name]} - {best.settings[name]}:
+    for level in {*ends, bench.nearest[name]} - {best.settings[name]}:
         other = bench.pressing(point, {**best.settings, name: level})
         if other is not None and other.prospect.worth > LEAST_GAIN * best.prospect.worth:
             best = other

@@ -221,7 +221,7 @@ def test_the_command_says_what_is_open_and_writes_it(
 ) -> None:
     runs = write_campaign(tmp_path, make_campaign(7, 3, None, Plan(rate_hz=1.0, thickness_mm=16.0)))
     out = tmp_path / "plan.json"
-    ranges = ["--range", "thickness_mm=8:19", "--range", "press_time_s=40:60"]
+    ranges = ["--range", "thickness_mm=8:19", "--range", "press_time_s=40:120"]
     report = tmp_path / "plan.html"
     written_to = ["--json", str(out), "--html", str(report)]
     command = ["plan", *map(str, runs), "--press", str(tmp_path / "press.toml"), *written_to, *ranges]
@@ -253,6 +253,20 @@ def test_a_plan_in_python_is_the_commands() -> None:
     assert len(str(planned)) > 10
     assert flooding(planned) == {}
     assert planned.plot()
+
+
+def test_no_pressing_lies_outside_ranges_that_leave_out_the_usual_settings() -> None:
+    runs = [run for run, _ in make_campaign(7, 2, None, Plan(rate_hz=1.0, thickness_mm=16.0))]
+    found = softsensor.diagnose(runs, press(), effects=["edge_loss"]).diagnosis
+    ranges = {"thickness_mm": (8.0, 9.0), "platen_temperature_C": (150.0, 160.0)}
+    planned = plan(press(), found, ranges)
+    assert planned.points
+    for advice in planned.points:
+        assert "thickness_mm" not in advice.repeated.changed
+        for pressing in (advice.best, advice.with_core):
+            assert pressing is not None
+            assert set(pressing.changed) >= set(ranges)
+            assert all(low <= pressing.settings[name] <= high for name, (low, high) in planned.ranges.items())
 
 
 def test_a_model_that_does_not_describe_the_runs_forecasts_no_pressing() -> None:
