@@ -86,7 +86,8 @@ class RehearsedRun:
     motion: Mapping[str, float]
     """Fitted shifts of its moments. [s]"""
     noise: Mapping[str, Array]
-    """Residuals of each channel about their mean, quiet rows with the panel in (rows). [K]"""
+    """Residuals of each channel about their mean, quiet rows with the panel in; a cell that was empty has that of
+    the nearest row, since a cell that is read may draw it (rows). [K]"""
     level: Mapping[str, float]
     """Mean residual of each channel. [K]"""
     period_s: float
@@ -238,11 +239,19 @@ def _rehearsed(
     noise, level = {}, {}
     for c in model.press.sensors_of(run):
         rest = (run.columns[c] - solved.column(c))[rows]
-        known = rest[np.isfinite(rest)]
-        level[c] = float(known.mean()) if len(known) else 0.0
-        noise[c] = np.where(np.isfinite(rest), rest - level[c], 0.0)
+        known = np.flatnonzero(np.isfinite(rest))
+        level[c] = float(rest[known].mean()) if len(known) else 0.0
+        noise[c] = rest[_nearest(known, len(rest))] - level[c] if len(known) else np.zeros(len(rest))
     motion = {n: values[n] for n in (*TIMINGS, OPENING_RAMP) if n in values}
     return RehearsedRun(run, digest.moments, motion, noise, level, digest.period_s)
+
+
+def _nearest(known: np.ndarray, rows: int) -> np.ndarray:
+    """Return for each row the nearest of those known, itself where it is one (rows)."""
+    after = np.minimum(np.searchsorted(known, np.arange(rows)), len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(known[before] - np.arange(rows)) < np.abs(known[after] - np.arange(rows))
+    return np.asarray(known[np.where(nearer, before, after)])
 
 
 def _with_panel(run: Run, moments: Moments) -> np.ndarray:

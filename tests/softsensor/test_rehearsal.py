@@ -106,6 +106,29 @@ def test_resampled_noise_is_as_large_and_as_shared_as_the_residuals():
     assert abs(shared - known) < 0.3 * np.mean([np.var(np.diff(r.noise["top_1"])) for r in own])
 
 
+def test_channels_that_are_read_in_turn_rehearse_as_much_noise_as_those_read_at_once():
+    def in_turn(run):
+        shown = {
+            c: np.where(np.arange(len(v)) % 2 == number % 2, v, np.nan) if c.startswith(("top_", "bottom_")) else v
+            for number, (c, v) in enumerate(sorted(run.columns.items()))
+        }
+        return rehearsal.replace(run, columns=shown)
+
+    halved = diagnose(parse_press(press_toml()), [in_turn(run) for run in runs()], effects=["edge_loss"])
+    made, rng = campaign_of(halved), np.random.default_rng(1)
+    drawn = [rehearsal._readings(made, one, rng) for _ in range(60) for one in made.runs]
+    for channel in ("top_1", "bottom_2"):
+        at_once = np.mean([np.var(one.noise[channel]) for one in campaign().runs])
+        assert np.mean([np.var(d[channel]) for d in drawn]) == pytest.approx(at_once, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("known", "expected"), [([2], [2] * 5), ([0, 3], [0, 0, 3, 3, 3]), ([0, 1, 2, 3, 4], [0, 1, 2, 3, 4])]
+)
+def test_an_empty_cell_has_the_noise_of_the_nearest_row_that_has_one(known, expected):
+    assert rehearsal._nearest(np.array(known), 5).tolist() == expected
+
+
 def test_what_a_rehearsed_channel_reads_beside_the_truth_some_run_left_in_one_direction():
     rng = np.random.default_rng(2)
     for _ in range(20):
