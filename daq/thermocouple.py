@@ -7,11 +7,15 @@ is a bracketed root of the forward function, not NIST's inverse polynomials, whi
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
 from daq.records import COLDEST_C, Array
+
+Number = TypeVar("Number", float, Array)
 
 LOWEST_C, HIGHEST_C = -270.0, 1372.0
 """Where NIST's functions hold. [°C]"""
@@ -142,7 +146,7 @@ def implied_cold_junction(voltage_mV: ArrayLike, temperature_C: ArrayLike) -> Ar
     return temperature(voltage(temperature_C) - np.asarray(voltage_mV, dtype=float))
 
 
-def celsius_of(value: float, unit: str) -> float:
+def celsius_of(value: Number, unit: str) -> Number:
     """Return a temperature in ``K`` or ``F`` as degrees Celsius; a number in any other unit as it is.
 
     Examples

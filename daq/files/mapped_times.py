@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection
 from datetime import UTC, date, datetime, time
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zoneinfo import ZoneInfo
 
 from daq.files.mapping_tables import FileTable, Mapped, TimeTable
@@ -28,37 +28,45 @@ _SOME_DAY, _SOME_OTHER, _NO_DAY = date(2034, 11, 29), date(2033, 10, 27), date(1
 and Python's where a text gives none."""
 
 
-class Row(NamedTuple):
-    """A line of the file, cut into cells."""
+class RowTimes:
+    """The times of a file's rows, one after the other; they rise by microseconds at least: the store counts those.
 
-    line: int
-    cells: Sequence[str]
+    Parameters
+    ----------
+    path, mapped
+        The file, and its mapping.
+    """
 
+    def __init__(self, path: Path, mapped: Mapped) -> None:
+        self._path, self._mapped = path, mapped
+        self._start, self._days, self._before, self._kept = math.nan, 0.0, -math.inf, -math.inf
+        self._steps: deque[float] = deque(maxlen=_LATE_STEPS)
+        self._daily, self._counted = is_daily(mapped.time.format), mapped.time.format in _SECONDS
 
-def rows_in_order(path: Path, rows: Iterator[Row], names: Row, mapped: Mapped) -> Iterator[tuple[Row, float]]:
-    """Yield the rows with their times, which rise by microseconds at least: those are what the store counts."""
-    places = [names.cells.index(column) for column in mapped.time.columns]
-    start, days, before, kept = math.nan, 0.0, -math.inf, -math.inf
-    steps: deque[float] = deque(maxlen=_LATE_STEPS)
-    daily, counted = is_daily(mapped.time.format), mapped.time.format in _SECONDS
-    for row in rows:
-        cell = " ".join(row.cells[place] for place in places)
-        time_s = _time(path, row, cell, mapped, before, steps) + days
-        if daily:
-            another_day_s = _of_another_day(time_s, before, steps)
-            days, time_s = days + max(another_day_s, 0.0), time_s + another_day_s
-        if start != start:
-            start = time_s if mapped.time.from_zero or not counted else 0.0
-        rounded = round(time_s - start, 6)
-        if not kept < rounded < math.inf:
-            if mapped.time.repeated == "first":
-                continue
-            named = " + ".join(mapped.time.columns)
-            raise InputError(at(path, say("foreign-time-falls", cell=repr(cell)), line=row.line, column=named))
-        if before > -math.inf:
-            steps.append(time_s - before)
-        before, kept = time_s, rounded
-        yield row, rounded
+    def of(self, line: int, cell: str) -> float | None:
+        """Return the time of the next row, None for one that is left out. [s]
+
+        Raises
+        ------
+        InputError
+            Naming line, column and cell of what is no time, or does not rise.
+        """
+        time_s = _time(self._path, line, cell, self._mapped, self._before, self._steps) + self._days
+        if self._daily:
+            another_day_s = _of_another_day(time_s, self._before, self._steps)
+            self._days, time_s = self._days + max(another_day_s, 0.0), time_s + another_day_s
+        if self._start != self._start:
+            self._start = time_s if self._mapped.time.from_zero or not self._counted else 0.0
+        rounded = round(time_s - self._start, 6)
+        if not self._kept < rounded < math.inf:
+            if self._mapped.time.repeated == "first":
+                return None
+            named = " + ".join(self._mapped.time.columns)
+            raise InputError(at(self._path, say("foreign-time-falls", cell=repr(cell)), line=line, column=named))
+        if self._before > -math.inf:
+            self._steps.append(time_s - self._before)
+        self._before, self._kept = time_s, rounded
+        return rounded
 
 
 def _of_another_day(time_s: float, before: float, steps: Collection[float]) -> float:
@@ -77,13 +85,13 @@ def _few(steps: Collection[float]) -> float:
 
 
 def _time(
-    path: Path, row: Row, cell: str, mapped: Mapped, before: float = -math.inf, steps: Collection[float] = ()
+    path: Path, line: int, cell: str, mapped: Mapped, before: float = -math.inf, steps: Collection[float] = ()
 ) -> float:
     layout = mapped.time.format
     try:
         if layout in _SECONDS:
             time_s = float(plain(cell, mapped.file)) * _SECONDS[layout]
-        elif any(sign.isdigit() and not sign.isascii() for sign in cell):
+        elif not cell.isascii() and any(sign.isdigit() and not sign.isascii() for sign in cell):
             raise ValueError(cell)
         elif layout == "clock":
             time_s = _since_midnight(cell, mapped.file)
@@ -96,7 +104,7 @@ def _time(
         problem = say("foreign-time-format", cell=repr(cell), format=layout)
         if cell.strip() in mapped.file.missing:
             problem = say("foreign-time-missing", cell=repr(cell))
-        raise InputError(at(path, problem, line=row.line, column=named)) from error
+        raise InputError(at(path, problem, line=line, column=named)) from error
     return time_s
 
 
@@ -171,14 +179,16 @@ def _date_read_back(layout: str) -> date | None:
         return None
 
 
-def start_of(path: Path, row: Row, names: Sequence[str], mapped: Mapped) -> dict[str, Any]:
-    """Return the header key of when the file begins, where it gives a date, and it or the mapping the zone."""
+def start_of(path: Path, line: int, cell: str, mapped: Mapped) -> dict[str, Any]:
+    """Return the header key of when the file begins, where it gives a date, and it or the mapping the zone.
+
+    `cell` is the time of its first row, which stands in `line`.
+    """
     if not is_dated(mapped.time.format):
         return {}
-    cell = " ".join(row.cells[names.index(column)] for column in mapped.time.columns)
     if not mapped.time.zone and _moment(cell, mapped.time.format).tzinfo is None:
         return {}
-    return {"recorded.started_utc": datetime.fromtimestamp(_time(path, row, cell, mapped), UTC)}
+    return {"recorded.started_utc": datetime.fromtimestamp(_time(path, line, cell, mapped), UTC)}
 
 
 def plain(cell: str, file: FileTable) -> str:

@@ -42,29 +42,24 @@
 
 from __future__ import annotations
 
-import codecs
-import csv
 import fnmatch
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import ValidationError
 
-from daq.files.mapped_times import Row, plain, rows_in_order, start_of
+from daq.files.mapped_rows import Cells, ForeignRows
+from daq.files.mapped_times import RowTimes, plain, start_of
 from daq.files.mapping_tables import ColumnTable, ComputedTable, FileTable, HeaderFrom, Mapped
 from daq.press.header import check_header
 from daq.press.press_file import SD
 from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run, matches
-from daq.tables import at, explained, load_toml, reason_of
+from daq.tables import at, explained, load_toml
 from daq.thermocouple import celsius_of
 from daq.words import Message, say
-
-_DELIMITERS = {"tab": "\t", "space": " "}
-_ROWS_AT_ONCE = 1 << 8
-"""Parsed together; four and sixteen times as many took longer in tests/benchmarks/test_tables.py (2026-11)."""
 
 
 def read_mapping(path: Path) -> Mapped:
@@ -106,22 +101,26 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
         Naming file, line, column and value of what the mapping does not explain.
     """
     path = Path(path)
-    rows = _rows(path, mapped.file)
-    names = next(rows)
-    places = _places(path, names.cells, mapped)
+    rows = ForeignRows(path, mapped.file)
+    names = rows.names.cells
+    places = _places(path, names, mapped)
     kept = [(places[c.to], c, _is_temperature(c, temperatures)) for c in mapped.column if c.to in places]
-    found = {column.to: array("d") for _, column, _ in kept}
-    times, first = array("d"), None
-    for piece in _pieces(rows_in_order(path, rows, names, mapped)):
-        first = first or piece[0][0]
-        times.extend([time_s for _, time_s in piece])
-        for name, values in _values(path, [row for row, _ in piece], kept, mapped.file).items():
-            found[name].extend(values)
+    found: dict[str, list[Array]] = {column.to: [] for _, column, _ in kept}
+    clock, times, first = RowTimes(path, mapped), array("d"), None
+    moments = [names.index(column) for column in mapped.time.columns]
+    for cells in rows.taken(moments, {place for place, _, _ in kept}):
+        first = first or (cells.lines[0], cells.moments[0])
+        timed = _timed(clock, cells)
+        times.extend(timed.times)
+        for name, values in _values(path, timed.cells, kept, mapped.file).items():
+            found[name].append(values)
+        if timed.refused is not None:  # not before values above it
+            raise timed.refused
     if first is None:
-        raise InputError(at(path, say("foreign-no-rows", line=names.line)))
-    columns = {name: np.frombuffer(values) for name, values in found.items()}
+        raise InputError(at(path, say("foreign-no-rows", line=rows.names.line)))
+    columns = {name: np.concatenate(values) for name, values in found.items()}
     columns |= _computed(columns, mapped.computed)
-    header: dict[str, Any] = {"run": path.stem, **start_of(path, first, names.cells, mapped), **mapped.header}
+    header: dict[str, Any] = {"run": path.stem, **start_of(path, *first, mapped), **mapped.header}
     header |= _variants(path, mapped)
     for key, source in mapped.header_from.items():
         if key not in header:
@@ -163,71 +162,6 @@ def _variants(path: Path, mapped: Mapped) -> dict[str, Any]:
     return header
 
 
-def _rows(path: Path, file: FileTable) -> Iterator[Row]:
-    """Yield the row of names, then the others, each read when it is asked for."""
-    delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
-    read: list[int] = []
-
-    def texts() -> Iterator[str]:
-        for number, text in _lines(path, file):
-            read.append(number)
-            yield text
-
-    reader = csv.reader(texts(), delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True)
-    names: Row | None = None
-    while True:
-        read.clear()  # a quoted cell may hold several lines
-        try:
-            cells = list(map(str.strip, next(reader)))
-        except StopIteration:
-            return
-        except csv.Error as error:
-            raise InputError(at(path, say("run-quotation", reason=reason_of(error)), line=read[0])) from error
-        row = Row(read[0], [cell for cell in cells if cell] if delimiter == " " else cells)
-        names = names or row
-        if len(row.cells) < len(names.cells) and any(names.cells[len(row.cells) :]):
-            problem = say("foreign-cell-count", cells=len(row.cells), line=names.line, columns=len(names.cells))
-            raise InputError(at(path, problem, line=row.line))
-        yield row
-
-
-def _lines(path: Path, file: FileTable) -> Iterator[tuple[int, str]]:
-    """Yield the line of names, then those that hold rows, with their numbers."""
-    number = 0
-    try:
-        with path.open(encoding=file.encoding) as opened:
-            for number, text in enumerate(opened, start=1):
-                comment = file.comment and text.startswith(file.comment)
-                below = number > file.header_line + file.units_lines and text.strip() and not comment
-                if number == file.header_line or below:
-                    yield number, text.removesuffix("\n") + "\n"
-    except LookupError as error:
-        raise InputError(at(path, say("foreign-encoding-unknown", encoding=file.encoding))) from error
-    except UnicodeDecodeError as error:
-        problem = say("foreign-encoding-wrong", encoding=file.encoding, byte=_undecodable(path, file.encoding))
-        raise InputError(at(path, problem)) from error
-    except OSError as error:
-        raise InputError(
-            at(path, say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error)))
-        ) from error
-    if number < file.header_line:
-        raise InputError(at(path, say("foreign-too-short", lines=number, header_line=file.header_line)))
-
-
-def _undecodable(path: Path, encoding: str) -> int:
-    """Return which byte of a file an encoding does not know."""
-    decoder, begun = codecs.getincrementaldecoder(encoding)(), 0
-    with path.open("rb") as file:
-        while True:
-            piece = file.read(1 << 20)
-            pending = len(decoder.getstate()[0])
-            try:
-                decoder.decode(piece, final=not piece)
-            except UnicodeDecodeError as error:
-                return begun - pending + error.start
-            begun += len(piece)
-
-
 def _places(path: Path, names: Sequence[str], mapped: Mapped) -> dict[str, int]:
     found = {c.to: c.found(names) for c in mapped.column}
     missing = [c for c in mapped.time.columns if c not in names]
@@ -240,73 +174,100 @@ def _places(path: Path, names: Sequence[str], mapped: Mapped) -> dict[str, int]:
     return {to: names.index(source) for to, source in found.items() if source}
 
 
+_DECIMALS = 9
+"""Of a temperature made of another unit: what that arithmetic leaves lies below. By definition."""
 _Kept: TypeAlias = tuple[int, ColumnTable, bool]
 """A column of the file: its place there, what is said of it, and whether only a temperature can stand in it."""
 
 
-def _pieces(rows: Iterator[tuple[Row, float]]) -> Iterator[list[tuple[Row, float]]]:
-    """Yield rows with their times, many at once; before a row's time is refused, those above it."""
-    piece: list[tuple[Row, float]] = []
-    try:
-        for row in rows:
-            piece.append(row)
-            if len(piece) == _ROWS_AT_ONCE:
-                yield piece
-                piece = []
-    except InputError:
-        if piece:
-            yield piece
-        raise
-    if piece:
-        yield piece
+class _Timed(NamedTuple):
+    """Rows that stay, their times, and why the one after them is refused."""
+
+    cells: Cells
+    times: Sequence[float]
+    refused: InputError | None = None
 
 
-def _values(path: Path, rows: Sequence[Row], kept: Sequence[_Kept], file: FileTable) -> dict[str, list[float]]:
+def _timed(clock: RowTimes, cells: Cells) -> _Timed:
+    """Give rows their times: those up to the first that is refused, without those that are left out."""
+    stay, times, refused = [], [], None
+    for row, (line, moment) in enumerate(zip(cells.lines, cells.moments, strict=True)):
+        try:
+            time_s = clock.of(line, moment)
+        except InputError as error:
+            refused = error
+            break
+        if time_s is not None:
+            stay.append(row)
+            times.append(time_s)
+    if len(stay) < len(cells.lines):
+        by_place = {place: _chosen(column, stay) for place, column in cells.by_place.items()}
+        cells = Cells(_chosen(cells.lines, stay), _chosen(cells.moments, stay), by_place)
+    return _Timed(cells, times, refused)
+
+
+def _chosen(column: Any, rows: Sequence[int]) -> Any:
+    return column[np.array(rows, int)] if isinstance(column, np.ndarray) else [column[row] for row in rows]
+
+
+def _values(path: Path, cells: Cells, kept: Sequence[_Kept], file: FileTable) -> dict[str, Array]:
     """Return what the columns hold in some rows: column by column, and only where that fails cell by cell."""
     try:
-        return {
-            one.to: _column([row.cells[place] for row in rows], one, file, temperature=temperature)
-            for place, one, temperature in kept
-        }
+        return {one.to: _column(cells.by_place[place], one, file, temperature=hot) for place, one, hot in kept}
     except ValueError:
-        found = [[_value(path, row, one, file) for one in kept] for row in rows]
-        return {column.to: [row[i] for row in found] for i, (_, column, _) in enumerate(kept)}
+        found = [[_value(path, cells, row, one, file) for one in kept] for row in range(len(cells.lines))]
+        return {column.to: np.array([row[i] for row in found]) for i, (_, column, _) in enumerate(kept)}
 
 
-def _column(cells: Sequence[str], column: ColumnTable, file: FileTable, *, temperature: bool) -> list[float]:
+def _column(cells: Sequence[str] | Array, column: ColumnTable, file: FileTable, *, temperature: bool) -> Array:
     """Return a column's numbers. Raises `ValueError` where a cell is none, or no temperature where one is due."""
-    if not (missing := frozenset(file.missing)).isdisjoint(cells):
-        cells = ["nan" if cell in missing else cell for cell in cells]
     with np.errstate(over="ignore", invalid="ignore"):
-        values = np.array(_numbers(cells, file)) * column.scale + column.offset
+        values = _numbers(cells, file) * column.scale + column.offset
     values[~((values >= column.lower) & (values <= column.upper) & np.isfinite(values))] = np.nan
     if column.unit in ("K", "F"):
-        values = np.array([round(celsius_of(value, column.unit), 9) for value in values.tolist()])
+        values = _rounded(celsius_of(values, column.unit))
     if temperature and ((values <= COLDEST_C) | (values >= HOTTEST_C)).any():
         raise ValueError(column.to)
-    found: list[float] = values.tolist()
+    return values
+
+
+def _rounded(values: Array) -> Array:
+    """Return values to nine decimals, each as `round` gives it.
+
+    A product is off by half a unit in its last place at most, and a whole number over a power of ten is the number
+    nearest to that decimal: only what lies so near to a half is asked for one by one.
+    """
+    per = float(10**_DECIMALS)
+    scaled = values * per
+    found = np.rint(scaled) / per
+    unsure = ~(np.abs(scaled - np.floor(scaled) - 0.5) > np.abs(scaled) * np.finfo(float).eps)
+    found[unsure] = [round(value, _DECIMALS) for value in values[unsure].tolist()]
     return found
 
 
-def _numbers(cells: Sequence[str], file: FileTable) -> list[float]:
+def _numbers(cells: Sequence[str] | Array, file: FileTable) -> Array:
     """Return cells as numbers; `plain` looks at each only where there is a mark that not every number has."""
+    if isinstance(cells, np.ndarray):
+        return cells
+    if not (missing := frozenset(file.missing)).isdisjoint(cells):
+        cells = ["nan" if cell in missing else cell for cell in cells]
     joined = " ".join(cells)
     if not joined.isascii() or "_" in joined or (file.decimal == "," and "." in joined):
-        return [float(plain(cell, file)) for cell in cells]
-    return [float(cell.replace(",", ".")) for cell in cells] if file.decimal == "," else list(map(float, cells))
+        return np.array([float(plain(cell, file)) for cell in cells])
+    return np.array([float(cell.replace(",", ".")) if file.decimal == "," else float(cell) for cell in cells])
 
 
-def _value(path: Path, row: Row, kept: _Kept, file: FileTable) -> float:
+def _value(path: Path, cells: Cells, row: int, kept: _Kept, file: FileTable) -> float:
     place, column, temperature = kept
-    cell = row.cells[place]
+    cell, line, named = cells.by_place[place][row], cells.lines[row], " | ".join(column.sources)
     try:
-        value = _column([cell], column, file, temperature=False)[0]
+        value = float(_column(cells.by_place[place][row : row + 1], column, file, temperature=False)[0])
     except ValueError as error:
         problem = say("foreign-no-number", cell=repr(cell), decimal=file.decimal)
-        raise InputError(at(path, problem, line=row.line, column=" | ".join(column.sources))) from error
+        raise InputError(at(path, problem, line=line, column=named)) from error
     if temperature and (value <= COLDEST_C or value >= HOTTEST_C):
         problem = say("foreign-no-temperature", value=f"{value:g}", coldest=COLDEST_C, hottest=HOTTEST_C)
-        raise InputError(at(path, problem, line=row.line, column=" | ".join(column.sources)))
+        raise InputError(at(path, problem, line=line, column=named))
     return value
 
 

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from packaging.requirements import Requirement
 
-from daq.files.mapping import read_foreign, read_mapping
+from daq.files.mapped_rows import _ROWS_AT_ONCE
+from daq.files.mapping import _rounded, read_foreign, read_mapping
 from daq.files.run_file import read_run, write_run
 from daq.press.events import find_moments
 from daq.press.press_file import press_for_run, read_press
@@ -556,10 +559,12 @@ offset = -3.0
 upper = 90.0
 """
 
+LONG_ROWS = 2 * _ROWS_AT_ONCE + 100
+
 
 def _long_file(path, changes=()):
     """Write a file of more rows than are parsed at once; `changes` put another text into a line."""
-    lines = ["t,a,b", *(f"{i / 10},{290 + i / 7:.3f},{i}" for i in range(1000))]
+    lines = ["t,a,b", *(f"{i / 10},{290 + i / 70:.3f},{i}" for i in range(LONG_ROWS))]
     for line, text in changes:
         lines[line - 1] = text
     path.write_text("\n".join(lines) + "\n")
@@ -568,12 +573,12 @@ def _long_file(path, changes=()):
 
 def test_a_file_read_many_rows_at_once_has_the_numbers_of_each_cell(tmp_path):
     run = read_foreign(_long_file(tmp_path / "a.csv", [(400, "39.8,---,NaN")]), _mapping(tmp_path, LONG))
-    kelvin = [round(float(f"{290 + i / 7:.3f}") - 273.15, 9) for i in range(1000)]
-    load = [i * 0.1 - 3.0 if i * 0.1 - 3.0 <= 90.0 else np.nan for i in range(1000)]
+    kelvin = [round(float(f"{290 + i / 70:.3f}") - 273.15, 9) for i in range(LONG_ROWS)]
+    load = [i * 0.1 - 3.0 if i * 0.1 - 3.0 <= 90.0 else np.nan for i in range(LONG_ROWS)]
     kelvin[398] = load[398] = np.nan
     np.testing.assert_array_equal(run.columns["top_1"], kelvin)
     np.testing.assert_array_equal(run.columns["load"], load)
-    assert run.time_s.tolist() == [round(i / 10, 6) for i in range(1000)]
+    assert run.time_s.tolist() == [round(i / 10, 6) for i in range(LONG_ROWS)]
 
 
 @pytest.mark.parametrize(
@@ -583,8 +588,58 @@ def test_a_file_read_many_rows_at_once_has_the_numbers_of_each_cell(tmp_path):
         ([(700, "69.8,hot,heavy")], "line 700: column a: 'hot' is not a number"),
         ([(700, "nan,300,1"), (600, "59.8,-5,1")], "line 600: column a: -278.15 °C is no temperature"),
         ([(700, "0,300,1"), (701, "69.9,hot,1")], "line 700: column t: '0' does not rise"),
+        (
+            [(5001, "499.9,-5,1"), (5002, "0,300,1"), (5003, "500.1,hot,1")],
+            "line 5001: column a: -278.15 °C is no",
+        ),
+        ([(5002, "0,300,1"), (5003, "500.1,-5,1")], "line 5002: column t: '0' does not rise"),
+        ([(5002, "500.0,300")], "line 5002: 2 cells"),
     ],
 )
 def test_of_several_faults_in_a_file_the_first_is_named(tmp_path, changes, message):
     with pytest.raises(InputError, match=re.escape(message)):
         read_foreign(_long_file(tmp_path / "a.csv", changes), _mapping(tmp_path, LONG))
+
+
+CELLS = st.sampled_from([
+    "21.5", "1e5", "+3", " 7 ", "", "NaN", "nan", "-", "---", "1,5", "1.5", "1.234,5", "1_0", "inf", "-Infinity",
+    "1e999", "nan(1)", "0x10", "-999", " -999", "-999.0", "-300", ".5", "5.", "٣", "1d3", "1 2",
+    "4\N{NO-BREAK SPACE}", "-0.0", "0.5\t",
+])  # fmt: skip
+
+
+@given(
+    rows=st.lists(st.tuples(CELLS, CELLS), min_size=1, max_size=4),
+    times=st.sampled_from([["0", "1", "2", "3"], ["0", "1", "1", "3"], [" 0", "0.5 ", "nan", "3"]]),
+    decimal=st.sampled_from([".", ","]),
+    missing=st.sampled_from([["", "NaN"], ["---", "-999"], []]),
+    repeated=st.sampled_from(["first", "refuse"]),
+    unit=st.sampled_from(["K", "C", ""]),
+)
+def test_a_file_has_the_numbers_and_the_faults_of_the_same_with_quotation_marks(
+    tmp_path_factory, rows, times, decimal, missing, repeated, unit
+):
+    """Those take another way: pyarrow's parser, and cell by cell."""
+    folder = tmp_path_factory.mktemp("quoted")
+    mapping = _mapping(
+        folder,
+        f'[file]\ndelimiter = ";"\ndecimal = "{decimal}"\nmissing = {missing}\n'
+        f'[time]\ncolumn = "t"\nrepeated = "{repeated}"\n'
+        f'[[column]]\nfrom = "a"\nto = "top_1"\nunit = "{unit}"\n[[column]]\nfrom = "b"\nto = "load"\nunit = ""\n',
+    )
+    cells = [("t", "a", "b"), *((time, *row) for time, row in zip(times, rows, strict=False))]
+
+    def read(mark):
+        (folder / "x.csv").write_text("".join(";".join(f"{mark}{c}{mark}" for c in row) + "\n" for row in cells))
+        try:
+            run = read_foreign(folder / "x.csv", mapping)
+        except InputError as error:
+            return str(error)
+        return [v.tobytes() for v in (run.time_s, run.columns["top_1"], run.columns["load"])]
+
+    assert read("") == read('"')
+
+
+@given(st.lists(st.floats(-1e9, 1e9) | st.integers(-(10**6), 10**6).map(lambda n: n / 2e9) | st.just(np.nan)))
+def test_temperatures_are_rounded_as_python_rounds_them(values):
+    assert repr(_rounded(np.array(values, float)).tolist()) == repr([round(float(v), 9) for v in values])
