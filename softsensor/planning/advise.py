@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from daq.press.header import panel_of
-from daq.press.press_file import press_for_run
+from daq.press.press_file import Press, press_for_run
 from daq.press.resin_file import LimitsTable, Resin
 from daq.printed import on_screen
 from daq.records import Array, InputError
@@ -360,13 +360,20 @@ def _energy(task: Task, layers: Array, programme: Programme, open_s: float) -> f
     taken_up = (
         panel.density * panel.heat_capacity * panel.thickness * float(SHARE @ (layers - panel.initial_temperature))
     )
-    lost = 0.0
-    for contact in press_for_run(task.press, run).contact:
-        if isinstance(contact.open, tuple):
-            above = contact.between[0] in task.press.panel_layers
-            film = task.model.values.get(contact.open[1 if above else 0], 0.0)
-            lost += 2.0 * film * (programme.platen_C - run.ambient_temperature) * open_s
+    films = _open_films(task, press_for_run(task.press, run))
+    lost = 2.0 * float(np.mean(films or [0.0])) * (programme.platen_C - run.ambient_temperature) * open_s
     return task.press.press.area_m2 * (taken_up + lost) / KWH_J
+
+
+def _open_films(task: Task, press: Press) -> list[float]:
+    """Return the coefficients by which a plate that parts from the panel loses heat to air. [W/m²K]"""
+    panels = task.press.panel_layers
+    names = (
+        c.open[1 if c.between[0] in panels else 0]
+        for c in press.contact
+        if isinstance(c.open, tuple) and {*c.between} & {*panels}
+    )
+    return [task.model.values.get(name, 0.0) for name in names]
 
 
 def _savings(

@@ -12,17 +12,19 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from scipy.special import erfc
 
 import softsensor
 from api.cli import main
-from daq.press.press_file import Load, Press, parse_press
+from daq.press.press_file import Contact, Load, Press, parse_press
 from daq.press.resin_file import Resin, read_resin
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from softsensor.heat.model_file import FittedValue, ModelFile, model_text
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
+from softsensor.opening.steam import steam_pressure
 from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, _energy, advise, limits_of, quantities_of
-from softsensor.planning.made_up import DEPTHS, PLATENS, Programme, Task, ensemble, made_up_run
+from softsensor.planning.made_up import DEPTHS, PLATENS, SHARE, Programme, Task, ensemble, made_up_run
 from softsensor.planning.summary import advice_title
 from tests.screens import flooding, text_of
 
@@ -131,6 +133,38 @@ def test_a_panel_through_and_through_warm_has_taken_up_what_its_capacity_holds()
     lost = 2 * press().coefficient("h_ap").guess * (180.0 - 23.0) * 30.0 * 0.25 / 3.6e6
     energy = _energy(task(), np.full(len(DEPTHS), 180.0), Programme(180.0, None), 30.0)
     assert energy == pytest.approx(taken_up + lost)
+
+
+@pytest.mark.parametrize("seconds_on", [5.0, 20.0, 60.0])
+def test_heat_read_through_a_panel_that_warms_from_both_faces_is_what_has_passed_them(seconds_on: float) -> None:
+    """Q = 2 k ΔT √(t / (π a)) through each face of a body that has not warmed in its middle (Carslaw & Jaeger)."""
+    a, rise, thickness = 0.12 / (750.0 * 1550.0), 157.0, 0.03
+    away = np.stack([DEPTHS, 1.0 - DEPTHS]) * thickness / (2.0 * np.sqrt(a * seconds_on))
+    layers = 23.0 + rise * erfc(away).sum(axis=0)
+    passed = 2 * 2.0 * 0.12 * rise * np.sqrt(seconds_on / (np.pi * a)) * 0.25 / 3.6e6
+    thick = replace(task(), header={**PANEL, "panel.thickness_mm": 1e3 * thickness})
+    energy, none = (_energy(thick, t, Programme(180.0, None), 30.0) for t in (layers, np.full_like(layers, 23.0)))
+    assert energy - none == pytest.approx(passed, rel=0.02)
+
+
+def test_steam_read_through_a_panel_hot_at_its_faces_is_that_of_all_its_depths() -> None:
+    fine = (np.arange(2000) + 0.5) / 2000.0
+    read, through = (60.0 + 110.0 * np.exp(-np.minimum(z, 1.0 - z) / 0.12) for z in (DEPTHS, fine))
+    found = steam_pressure(read, SHARE, 8.0)
+    assert found == pytest.approx(steam_pressure(through, np.full(2000, 1 / 2000), 8.0), rel=0.03)
+
+
+def test_two_open_plates_lose_heat_once_however_many_of_them_part_from_the_panel() -> None:
+    both = press().model_copy(update={"contact": tuple(_parting(c) for c in press().contact)})
+    cold = np.full(len(DEPTHS), 23.0)
+    one, two = (_energy(replace(task(), press=p), cold, Programme(180.0, None), 30.0) for p in (press(), both))
+    assert two == pytest.approx(one)
+
+
+def _parting(contact: Contact) -> Contact:
+    """Return a contact of the panel with the plate below it that parts as the one above does."""
+    below = contact.between == ("plate_bottom", "panel")
+    return contact.model_copy(update={"open": ("h_ap", "h_wa")}) if below else contact
 
 
 def test_draws_are_centred_and_platens_scatter_as_their_class_says() -> None:
