@@ -208,7 +208,7 @@ def plan(
         points += open_numbers(found.final, past, constants)
     middle = _middle(settings)
     usual = {name: round(settings[middle][name], 1) for name in allowed if name in settings[middle]}
-    nearest = usual | {name: min(max(usual[name], low), high) for name, (low, high) in ranges.items()}
+    nearest = usual | {n: min(max(usual[n], low), high) for n, (low, high) in ranges.items() if n in usual}
     bench = _WorkedOut(press, stage, digests[middle], usual, nearest, constants)
     advised = []
     for i, point in enumerate(points):
@@ -226,14 +226,14 @@ def ranges_of(
 
 
 def _middle(settings: Sequence[Settings]) -> int:
-    """Return the run whose settings lie nearest to the middle of all, in shares of it."""
+    """Return which of the runs that state most settings lies nearest to the middle of all, in shares of it."""
 
     def off(one: Settings) -> float:
         return sum(abs(one[n] - m) / max(abs(m), 1e-9) for n, m in middle.items() if n in one)
 
     names = dict.fromkeys(n for s in settings for n in s)
     middle = {n: float(np.median([s[n] for s in settings if n in s])) for n in names}
-    return min(range(len(settings)), key=lambda i: off(settings[i]))
+    return min(range(len(settings)), key=lambda i: (-len(settings[i]), off(settings[i])))
 
 
 def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> PointAdvice | None:

@@ -269,6 +269,20 @@ def test_no_pressing_lies_outside_ranges_that_leave_out_the_usual_settings() -> 
             assert all(low <= pressing.settings[name] <= high for name, (low, high) in planned.ranges.items())
 
 
+def test_a_setting_that_one_run_does_not_state_is_planned_as_the_others_have_it() -> None:
+    runs = [run for run, _ in make_campaign(7, 3, None, Plan(rate_hz=1.0, thickness_mm=16.0))]
+    pressed = "setting.pressure_N_cm2"
+    for silent in range(3):
+        stated = [
+            replace(run, header={k: v for k, v in run.header.items() if (i, k) != (silent, pressed)})
+            for i, run in enumerate(runs)
+        ]
+        found = softsensor.diagnose(stated, press(), effects=["edge_loss"]).diagnosis
+        planned = plan(press(), found, {"pressure_N_cm2": (100.0, 200.0)})
+        assert planned.points
+        assert all(100.0 <= advice.best.settings["pressure_N_cm2"] <= 200.0 for advice in planned.points)
+
+
 def test_a_model_that_does_not_describe_the_runs_forecasts_no_pressing() -> None:
     runs = [run for run, _ in make_campaign(7, 2, None, Plan(rate_hz=1.0, thickness_mm=16.0))]
     found = softsensor.diagnose(runs, press(), effects=["edge_loss"]).diagnosis
