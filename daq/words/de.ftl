@@ -812,6 +812,7 @@ model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } 
 model-file-effect-twice = { $file }: effects.{ $number }: { $effect } steht zweimal in effects; einen Eintrag behalten
 model-file-effect-unnamed = { $file }: effects.{ $number } hat keinen Namen
 model-file-effect-without-size = { $file }: effects.{ $number }: { $effect } hat keine Größe; unter parameters angeben: { $known }
+model-file-effect-wrong = { $file }: effects.{ $number }.parameters ({ $effect }): { $what }
 model-file-key-meant = { $file }: der Schlüssel '{ $key }' ist nicht bekannt; ist { $meant } gemeint?
 model-file-no-coefficients = { $file }: keine Modelldatei: der Schlüssel 'coefficients' fehlt
 model-file-no-json = { $file }: keine Modelldatei in JSON: { $error }
@@ -838,6 +839,7 @@ sensor-outside-layer = { $run }: ein Fühler bei depth_mm = { NUMBER($depth_mm, 
 solve-exact-contact-changes = method = 'exact': ein Kontakt ändert sich in der geschlossenen Presse; den impliziten Löser nehmen
 solve-exact-moments-too-near = method = 'exact': weniger als vier Schritte in { NUMBER($seconds, maximumFractionDigits: 6) } s zwischen zwei Bewegungen der Presse; den impliziten Löser nehmen
 solve-exact-not-linear = method = 'exact': { $what } ist nicht linear; den impliziten Löser nehmen
+solve-impossible = { $run }: diese Übergänge und Quellen führen zu { $found } °C, nicht zwischen { NUMBER($coldest, maximumFractionDigits: 2) } und { NUMBER($hottest, maximumFractionDigits: 0) } °C; kein Stoff hat solche Werte, also prüfen
 solve-no-temperatures = { $run }: diese Übergänge und Quellen führen zu keinen endlichen Temperaturen; kein Stoff hat solche Werte, also prüfen
 solve-table-or-radiation = eine Stoffwerttabelle oder Strahlung
 solve-unknown-method = method = { $method }: muss 'implicit' oder 'exact' sein
@@ -1129,6 +1131,7 @@ law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimu
         [hotter] heißer
        *[cooler] kühler
     }.
+law-ends = { $low } = { NUMBER($least, maximumSignificantDigits: 6) } muss unter { $high } = { NUMBER($most, maximumSignificantDigits: 6) } liegen
 law-found = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-heading = Was fehlt, ohne Namen
 law-kind-conductivity = Faktor auf die Wärmeleitfähigkeit der Platte
@@ -1141,6 +1144,7 @@ law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abküh
 law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
 law-kind-source_by_depth = Wärme, die bei geschlossener Presse in der Platte frei wird
 law-kind-source_by_time = Wärme, die seit dem Schließen überall in der Platte frei wird
+law-lacks = { $name } fehlt, und alle Zahlen eines Gesetzes gehören zusammen; aus der Datei nehmen, die diagnose schrieb
 law-none = Kein freies Gesetz: bei keinem ist sicher, dass es ausgelassene Pressungen verbessert.
 law-resembles = In seinem Band stimmt er mit der Kurve einer bekannten Ursache überein: { $cause }.
 law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)

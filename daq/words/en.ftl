@@ -812,6 +812,7 @@ model-file-effect-outside = { $file }: effects.{ $number }.parameters.{ $name } 
 model-file-effect-twice = { $file }: effects.{ $number }: { $effect } stands in effects twice; keep one
 model-file-effect-unnamed = { $file }: effects.{ $number } has no name
 model-file-effect-without-size = { $file }: effects.{ $number }: { $effect } has no size; give under parameters { $known }
+model-file-effect-wrong = { $file }: effects.{ $number }.parameters ({ $effect }): { $what }
 model-file-key-meant = { $file }: key '{ $key }' is not known; did you mean { $meant }?
 model-file-no-coefficients = { $file }: not a model file: key 'coefficients' is missing
 model-file-no-json = { $file }: not a JSON model file: { $error }
@@ -838,6 +839,7 @@ sensor-outside-layer = { $run }: a sensor at depth_mm = { NUMBER($depth_mm, maxi
 solve-exact-contact-changes = method = 'exact': a contact changes while the press is closed; use the implicit solver
 solve-exact-moments-too-near = method = 'exact': less than four steps in { NUMBER($seconds, maximumFractionDigits: 6) } s between two moments of the press; use the implicit solver
 solve-exact-not-linear = method = 'exact': { $what } is not linear; use the implicit solver
+solve-impossible = { $run }: these contacts and sources lead to { $found } °C, not between { NUMBER($coldest, maximumFractionDigits: 2) } and { NUMBER($hottest, maximumFractionDigits: 0) } °C; no matter has such values, so check them
 solve-no-temperatures = { $run }: these contacts and sources lead to no finite temperatures; no matter has such values, so check them
 solve-table-or-radiation = a property table or radiation
 solve-unknown-method = method = { $method }: must be 'implicit' or 'exact'
@@ -1112,6 +1114,7 @@ law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumF
         [hotter] hotter
        *[cooler] cooler
     }.
+law-ends = { $low } = { NUMBER($least, maximumSignificantDigits: 6) } must lie below { $high } = { NUMBER($most, maximumSignificantDigits: 6) }
 law-found = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-heading = What is missing, without a name
 law-kind-conductivity = factor on the conductivity of the panel
@@ -1124,6 +1127,7 @@ law-kind-heat = heat consumed as the panel warms up, not returned on cooling
 law-kind-heat_exchange = heat lost to the room per volume
 law-kind-source_by_depth = heat released in the panel while the press is closed
 law-kind-source_by_time = heat released everywhere in the panel since the press closed
+law-lacks = { $name } is missing, and all numbers of a law belong together; take them from the file that diagnose wrote
 law-none = No free law: none is sure to improve runs left out.
 law-resembles = Within its band it agrees with the curve of a known cause: { $cause }.
 law-variable-depth_share = height in the panel (0 below, 1 above)

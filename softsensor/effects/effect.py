@@ -286,6 +286,10 @@ class Effect:
         """What it means for the core temperature."""
         return say(f"effect-{self.name}-core")
 
+    def wrong_together(self, values: Mapping[str, float]) -> Message | None:
+        """Return what is wrong with values that are each within their limits; None: nothing, or too few to say."""
+        return None
+
     def parameter_called(self, parameter: str) -> Message:
         """Return what a parameter is, in words an operator knows."""
         return say(f"parameter-{self.name}-{parameter}")

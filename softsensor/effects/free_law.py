@@ -30,7 +30,7 @@ Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), sec. 8.3.1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import inf
@@ -38,8 +38,12 @@ from typing import Any
 
 import numpy as np
 
+from daq import records
+from daq.press.header import LIMITS
+from daq.press.press_file import HEAT_TRANSFER
 from daq.records import Array
 from daq.words import Message, say
+from softsensor.effects import contact_load
 from softsensor.effects.effect import (
     BENDS_C,
     Conversion,
@@ -57,6 +61,7 @@ from softsensor.effects.effect import (
 from softsensor.effects.moisture_evaporation import RATE, SOFTNESS
 from softsensor.effects.parameters import Parameter
 
+_CONDUCTIVITY = LIMITS["panel.conductivity_W_mK"]
 SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
 """Which of the panel's contacts, from bottom to top, a law of contact is about."""
 BY_TIME, BY_DEPTH = 12, 5
@@ -82,6 +87,14 @@ LEVEL = "level"
 """Logarithm of the factor on one contact at the longest time seen; 0 in files of versions that had none."""
 VALUE = "value"
 """Of each knot, with its number."""
+READABLE_C = (records.COLDEST_C, records.HOTTEST_C)
+"""What a thermocouple reads at all. [°C]"""
+CONTACT_MOST = float(np.log(HEAT_TRANSFER[1] / HEAT_TRANSFER[0]))
+"""Logarithm of a factor that leads from the one limit of heat transfer coefficients to the other."""
+CONDUCTIVITY_MOST = float(np.log(_CONDUCTIVITY.upper / _CONDUCTIVITY.lower))
+"""The same of matter's conductivity."""
+HEAT_MOST = LIMITS["panel.density_kg_m3"].upper * LIMITS["panel.heat_capacity_J_kgK"].upper / HEAT_UNIT
+"""What matter stores at most. [kJ/m³K]"""
 
 Function = Callable[[Any], Any]
 """A smooth function of places (places), in the kind's own unit; plain algebra, complex numbers go through."""
@@ -239,7 +252,17 @@ def time_source_terms(scene: Scene, law: Function, last_s: float) -> Terms:
 
 @dataclass(frozen=True)
 class LawEffect(Effect):
-    """A law as a model file holds it."""
+    """A law as a model file holds it: all of its numbers together, or it is another law."""
+
+    def wrong_together(self, values: Mapping[str, float]) -> Message | None:
+        """Return which number is missing, or which ends between which the knots lie do not rise."""
+        for p in self.parameters:
+            if p.name not in values and p.name != LEVEL:
+                return say("law-lacks", name=p.name)
+        for low, high in ((COLDEST_C, HOTTEST_C), (LEAST_LOAD, MOST_LOAD)):
+            if low in values and not values[low] < values[high]:
+                return say("law-ends", low=low, high=high, least=values[low], most=values[high])
+        return None
 
     @property
     def called(self) -> Message:
@@ -252,16 +275,22 @@ class LawEffect(Effect):
         return say(f"parameter-law-{name}", knot=knot) if knot else say(f"parameter-law-{name}")
 
 
-def _parameters(knots: int, unit: str, ranges: Mapping[str, tuple[float, str]]) -> Iterator[Parameter]:
-    """Yield a law's parameters: how strong it is, then numbers that say what it is and that nobody searches."""
-    found = "as the runs behind the model have it"
+def _parameters(knots: int, unit: str, ends: Sequence[Parameter], most: float = inf) -> Iterator[Parameter]:
+    """Yield a law's parameters: how strong it is, then numbers that say what it is and that nobody searches.
+
+    `most`: a value at a knot lies between this and its negative.
+    """
     yield Parameter(
         STRENGTH, "-", 0.0, 1.0, -10.0, 10.0, "1 where a further run shows what the runs before it did"
     )
-    for name, (usual, of) in ranges.items():
-        yield Parameter(name, of, usual, usual, -inf, inf, found, fixed=True)
+    yield from ends
     for knot in range(knots):
-        yield Parameter(f"{VALUE}_{knot}", unit, 0.0, 0.0, -inf, inf, found, fixed=True)
+        yield _found(f"{VALUE}_{knot}", unit, 0.0, -most, most)
+
+
+def _found(name: str, unit: str, usual: float, lower: float = -inf, upper: float = inf) -> Parameter:
+    found = "as the runs behind the model have it"
+    return Parameter(name, unit, usual, usual, lower, upper, found, fixed=True)
 
 
 def _given(smooth: Smooth, values: Mapping[str, Any]) -> Function:
@@ -270,7 +299,7 @@ def _given(smooth: Smooth, values: Mapping[str, Any]) -> Function:
     return lambda x: values[STRENGTH] * law(x)
 
 
-_LAST = {LAST_S: (60.0, "s")}
+_LAST = (_found(LAST_S, "s", 60.0, 1e-3, LIMITS["setting.press_time_s"].upper),)
 
 
 def _contact(side: str) -> LawEffect:
@@ -280,8 +309,8 @@ def _contact(side: str) -> LawEffect:
         law = levelled(_given(smooth, values), smooth.last, level)
         return contact_terms(scene, law, last_s, side)
 
-    ranges = _LAST | ({LEVEL: (0.0, "-")} if side else {})
-    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT], "-", ranges))
+    level = (_found(LEVEL, "-", 0.0, -CONTACT_MOST, CONTACT_MOST),) if side else ()
+    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT], "-", (*_LAST, *level), CONTACT_MOST))
     live = Live(Role.SCATTER, with_states=True)
     name = f"law_contact_{side}" if side else "law_contact"
     return LawEffect(name, parameters, terms, SOURCE, live=live, needs=Need.PANEL)
@@ -292,13 +321,13 @@ def _by_load() -> LawEffect:
         smooth = load_knots(float(np.real(values[LEAST_LOAD])), float(np.real(values[MOST_LOAD])))
         return load_terms(scene, levelled(_given(smooth, values), smooth.nearest(REFERENCE)), smooth)
 
-    ends = {LEAST_LOAD: (0.5, "-"), MOST_LOAD: (1.0, "-")}
-    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT_BY_LOAD], "-", ends))
+    ends = (_found(LEAST_LOAD, "-", 0.5, contact_load.LEAST_LOAD), _found(MOST_LOAD, "-", 1.0))
+    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT_BY_LOAD], "-", ends, CONTACT_MOST))
     live = Live(Role.SCATTER, with_states=True)
     return LawEffect("law_contact_by_load", parameters, terms, SOURCE, live=live, needs=Need.LOAD)
 
 
-_ENDS = {COLDEST_C: (40.0, "°C"), HOTTEST_C: (200.0, "°C")}
+_ENDS = (_found(COLDEST_C, "°C", 40.0, *READABLE_C), _found(HOTTEST_C, "°C", 200.0, *READABLE_C))
 
 
 def _heat() -> LawEffect:
@@ -306,7 +335,7 @@ def _heat() -> LawEffect:
         smooth = heat_knots(float(np.real(values[COLDEST_C])), float(np.real(values[HOTTEST_C])))
         return heat_terms(scene, _given(smooth, values), smooth)
 
-    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "kJ/m³K", _ENDS))
+    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "kJ/m³K", _ENDS, HEAT_MOST))
     live = Live(Role.OWN_FILTER)
     return LawEffect("law_heat", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
 
@@ -319,7 +348,8 @@ def _by_temperature(kind: LawOf) -> LawEffect:
             return conductivity_terms(law, smooth)
         return face_terms(levelled(law, smooth.last), smooth)
 
-    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "-", _ENDS))
+    most = CONDUCTIVITY_MOST if kind is LawOf.CONDUCTIVITY else CONTACT_MOST
+    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "-", _ENDS, most))
     live = Live(Role.OWN_FILTER)
     return LawEffect(f"law_{kind}", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
 
@@ -328,7 +358,7 @@ def _by_depth(kind: LawOf, unit: str, terms_of: Callable[[Scene, Function], Term
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         return terms_of(scene, _given(depth_knots(), values))
 
-    parameters = tuple(_parameters(BY_DEPTH, unit, {}))
+    parameters = tuple(_parameters(BY_DEPTH, unit, ()))
     live = Live(Role.HYPOTHESIS)
     return LawEffect(f"law_{kind}", parameters, terms, SOURCE, live=live, nonlinear=steps, needs=Need.PANEL)
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.printed import lines_of
-from daq.records import Array, Moments, PressState, Run
+from daq.records import COLDEST_C, HOTTEST_C, Array, Moments, Nonphysical, PressState, Run
+from daq.words import say
 from softsensor.fitting.problem import rows_with_panel
 from softsensor.fitting.result import rms
 from softsensor.heat.case import Case
@@ -69,9 +70,14 @@ def simulate_run(
     refined: Mapping[str, float] = MappingProxyType({}),
     known: Moments | None = None,
 ) -> Simulated:
-    """Solve the model over a run, open loop; `refined` moments go before those found. Raises `InputError`.
+    """Solve the model over a run, open loop; `refined` moments go before those found.
 
     `known`: the moments, where they need not be found.
+
+    Raises
+    ------
+    InputError
+        As `ThermalModel.solve`, and where a temperature is none that matter has.
     """
     moments = moments_of(run, press) if known is None else known
     moments = replace(
@@ -83,6 +89,7 @@ def simulate_run(
     )
     case = model.prepare(run, moments)
     solution = model.solve(case, values, fields=True)
+    _check_possible(run, solution.fields)
     places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
     signals = collect_signals(case.press, run, moments)
     believed = {place.label: place for place in signals.places}
@@ -98,6 +105,14 @@ def simulate_run(
             rmse[label] = rms(a - nan_mean(a) for a in away if np.isfinite(a).any())
     profile = _profile(case, solution, model.build(case, values).stack)
     return Simulated(run.time_s, tuple(states(case)), places, measured, rmse, solution.core, *profile)
+
+
+def _check_possible(run: Run, fields: Array) -> None:
+    """Refuse temperatures that no matter has: the numbers mean nothing then. Raises `Nonphysical`. [°C]"""
+    wrong = fields[~((fields > COLDEST_C) & (fields < HOTTEST_C))]
+    if len(wrong):
+        limits = {"coldest": COLDEST_C, "hottest": HOTTEST_C}
+        raise Nonphysical(say("solve-impossible", run=run.source or run.name, found=f"{wrong[0]:.4g}", **limits))
 
 
 def _profile(case: Case, solution: Solution, stack: Stack) -> tuple[Array, Array, Array, Array]:

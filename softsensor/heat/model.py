@@ -222,9 +222,11 @@ class ThermalModel:
             raise InputError(say("solve-unknown-method", method=repr(method)))
         self.check(case, values, names)
         if method == "implicit":
-            build = self.build(case, values, names)
-            record = implicit_steps.empty_record(read_places(case, build), len(case.h), build.width, whole=fields)
             try:
+                build = self.build(case, values, names)
+                record = implicit_steps.empty_record(
+                    read_places(case, build), len(case.h), build.width, whole=fields
+                )
                 implicit_steps.march(
                     build.stack, build.tangents, build.drive, build.start, record, build.nonlinear
                 )

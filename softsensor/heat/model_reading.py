@@ -248,6 +248,8 @@ def _check_parameters(
             limits: dict[str, Any] = {"lower": p.lower, "upper": p.upper, "unit": unit}
             problem = say("model-file-effect-outside", **place, name=name, value=in_short(found.value), **limits)
             raise InputError(problem)
+    if wrong := effect.wrong_together({name: number_of(found.value) for name, found in table.items()}):
+        raise InputError(say("model-file-effect-wrong", **place, what=wrong))
 
 
 def _check_numbers(found: FittedValue, source: str | Message, place: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import softsensor
 from daq.press.press_file import parse_press
-from daq.records import Moments, Nonphysical
+from daq.records import InputError, Moments, Nonphysical
 from daq.simulated.campaign import Effects, Plan, make_campaign, press_toml
 from daq.simulated.physics_mesh import INNER_WIDTH
 from daq.words.message import words
@@ -383,6 +383,54 @@ def test_a_model_file_of_a_version_without_levels_means_what_it_meant():
     assert cores[1] == pytest.approx(cores[0], abs=1e-9)
     assert np.max(np.abs(cores[2] - cores[0])) < 0.05
     assert np.max(np.abs(cores[3] - cores[0])) > 0.05
+
+
+def law_file(kind: str, **changed: float | None) -> dict[str, object]:
+    """Return a model file's content with a law of some kind, numbers changed in it or, where None, left out."""
+    made = {
+        "contact": laws.contact_by_time(30.0),
+        "contact_by_load": laws.contact_by_load(0.3, 1.2),
+        "conductivity": laws.conductivity_by_temperature(40.0, 160.0),
+        "heat": laws.heat_by_temperature(40.0, 160.0),
+        "source_by_depth": laws.source_by_depth(),
+    }[kind]
+    numbers = {STRENGTH: 1.0, **made.kept(np.zeros(len(made.effect.parameters))), **changed}
+    table = {name: {"value": value, "sd": 0.0} for name, value in numbers.items() if value is not None}
+    guesses = ThermalModel(parse_press(press_toml(loaded=True))).guesses
+    coefficients = {name: {"value": value, "sd": 0.0} for name, value in guesses.items()}
+    return {"coefficients": coefficients, "effects": [{"name": f"law_{kind}", "parameters": table}]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "changed", "expected"),
+    [
+        ("contact", {"last_s": 0.0}, "last_s = 0"),
+        ("contact", {"last_s": None}, "last_s is missing"),
+        ("contact", {STRENGTH: None}, "strength is missing"),
+        ("contact", {"value_7": None}, "value_7 is missing"),
+        ("contact", {"value_7": 800.0}, "value_7 = 800"),
+        ("contact_by_load", {"least_load": -1.0}, "least_load = -1"),
+        ("contact_by_load", {"least_load": 1.2}, "least_load = 1.2 must lie below most_load = 1.2"),
+        ("conductivity", {"value_0": 1000.0}, "value_0 = 1000"),
+        ("conductivity", {"hottest_C": 40.0}, "coldest_C = 40 must lie below hottest_C = 40"),
+        ("heat", {"coldest_C": 200.0}, "coldest_C = 200 must lie below hottest_C = 160"),
+        ("heat", {"value_3": 1e9}, "value_3"),
+    ],
+)
+def test_a_law_of_a_damaged_file_is_refused_by_its_key(kind, changed, expected):
+    """Ends the wrong way round turned the sign of the heat, equal ones made all temperatures no numbers."""
+    with pytest.raises(InputError, match=expected):
+        parse_model(law_file(kind, **changed), "model.json")
+    assert parse_model(law_file(kind), "model.json").effects[0][0] == f"law_{kind}"
+
+
+@pytest.mark.parametrize(("kind", "value"), [("conductivity", 11.5), ("heat", -2e5), ("source_by_depth", 1e9)])
+def test_a_law_that_leads_to_impossible_temperatures_is_refused_where_a_run_is_simulated(kind, value):
+    run = make_campaign(43, 1, None, THIN)[0][0]
+    knots = {name: value for name in find_effect(f"law_{kind}").neutral if name.startswith(VALUE)}
+    model = parse_model(law_file(kind, **{STRENGTH: 10.0, **knots}), "model.json")
+    with pytest.raises(Nonphysical, match=r"not between -273\.15 and 2,?000 °C"):
+        softsensor.simulate(run, parse_press(press_toml()), model)
 
 
 INSULATED = """
