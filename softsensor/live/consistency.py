@@ -218,6 +218,11 @@ class Stillness:
         self._any_still = time_s - oldest > FROZEN_S
         return bool(len(readings) >= FEWEST_CHANNELS and time_s - newest > FROZEN_S)
 
+    @property
+    def struck_out(self) -> np.ndarray:
+        """Faces that stood still where they should have moved, and have not moved since (M)."""
+        return np.asarray(self._silenced == self._changes.since_face)
+
     def silence(self, scans: ScanArrays, *, frozen: bool) -> bool:
         """Strike out the scans of faces that stand still where they should move; return whether any are new.
 

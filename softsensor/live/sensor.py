@@ -185,9 +185,12 @@ class LiveSensor:
         measured = (*run.setup.platens, *run.setup.columns)
         readings = np.array([values.get(c, math.nan) for c in measured])
         frozen = run.still.frozen(time_s, readings)
-        if frozen:
-            values = {name: math.nan if name in measured else value for name, value in values.items()}
-            readings[:] = math.nan
+        unread = frozen | np.concatenate(
+            [np.zeros(len(run.setup.platens), bool), run.still.struck_out[run.setup.place]]
+        )
+        if unread.any():
+            values = dict(values) | dict.fromkeys(np.array(measured)[unread].tolist(), math.nan)
+            readings[unread] = math.nan
         moments = run.press.detect(time_s, values)
         run.passes.forget(moments)
         run.loads.note(values)

@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
+from daq.press.detector import CHANGE_S
 from daq.press.events import PressEventDetector
 from daq.press.header import doubts
 from daq.press.press_file import parse_press
@@ -173,12 +174,26 @@ def test_a_lower_face_that_warms_already_is_no_contradiction():
     assert str(found.message) == "sensors read 60 °C, but the header gives a start temperature of 20 °C"
 
 
-@pytest.mark.parametrize("face", ["top_", "bottom_", ("top_", "bottom_")])
+@pytest.mark.parametrize("face", ["top_", "bottom_"])
 def test_a_face_that_repeats_itself_while_the_panel_warms_does_not_count(pressing, face):
     run, truth = pressing
     estimates = replay(with_columns(run, face, held_from(run, 2.0)))
     assert share_missed(estimates, truth.core_C) < 0.05
     assert np.mean([e.valid for e in estimates]) > 0.9
+
+
+def test_faces_that_both_repeat_themselves_count_no_more_than_faces_nobody_reads(pressing):
+    run, truth = pressing
+    still, silent = (
+        replay(with_columns(run, ("top_", "bottom_"), change))
+        for change in (held_from(run, 2.0), lambda v: np.where(run.time_s >= 2.0, np.nan, v))
+    )
+    assert share_missed(still, truth.core_C) < 0.05
+    assert all(e.valid for e in still if e.state is PressState.CLOSED)
+    late = truth.moments.opened_s + CHANGE_S + 2.0
+    after = [[(e.state, e.reason) for e in one if e.time_s > late] for one in (still, silent)]
+    assert after[0]
+    assert after[0] == after[1] == [(PressState.OPEN, InvalidReason.PANEL_NOT_SEEN)] * len(after[0])
 
 
 def test_a_logger_that_stands_still_over_the_closing_is_a_gap(pressing):
@@ -189,6 +204,16 @@ def test_a_logger_that_stands_still_over_the_closing_is_a_gap(pressing):
     assert share_missed(estimates, truth.core_C) < 0.05
     silent = [e for e in estimates if begun + 15.0 < e.time_s < begun + 19.0]
     assert {(e.valid, e.reason) for e in silent} == {(False, InvalidReason.PLATEN_READING_MISSING)}
+
+
+def test_without_a_wire_faces_that_repeat_themselves_do_not_show_a_closed_press_for_ever():
+    """A logger of its own that repeats what it read last, beside platens that go on: nobody sees it open."""
+    ((run, truth),) = make_campaign(21, 1, None, replace(PLAN, closed_column=False))
+    still = held_from(run, truth.moments.closed_s + 5.0)
+    estimates = replay(with_columns(run, ("top_", "bottom_"), still))
+    late = [e for e in estimates if e.time_s > truth.moments.opened_s]
+    assert len(late) > 60
+    assert {(e.valid, e.reason) for e in late} == {(False, InvalidReason.PRESS_STATE_UNKNOWN)}
 
 
 def test_a_switch_that_opens_for_a_moment_with_no_sensor_on_the_panel_leaves_the_press_closed(pressing):
