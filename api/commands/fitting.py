@@ -19,7 +19,6 @@ from daq.records import InputError
 from daq.words import Message, say
 
 if TYPE_CHECKING:
-    from daq.press.press_file import Press
     from softsensor.fitting.campaign import CampaignFit
     from softsensor.fitting.dependence import Program
     from softsensor.fitting.result import RunFit
@@ -126,10 +125,12 @@ def fit(options: FitOptions) -> None:
         return
     if not options.runs or options.press is None:
         raise InputError(say("terminal-fit-needs-runs"))
+    from softsensor.fitting.options import check_shared, full_method
+
     described = read_press(options.press)
-    chosen = check_method(options.method, averages=options.averages)
+    chosen = full_method(options.method, averages=options.averages, dashes="--")
     settings = parse_program(options.program or [])
-    check_shared(described, options.shared or [])
+    check_shared(described, options.shared or [], dashes="--")
     loaded = shortened(load_runs(options.runs, described, options.store, options.config), described, options.until)
     with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
         from softsensor.jobs.campaign import fit_campaign
@@ -201,14 +202,6 @@ def into(folder: Path, figures: Mapping[str, str]) -> dict[Path, str]:
     return {folder / (re.sub(r"[^\w.-]+", "_", name) + ".svg"): text for name, text in figures.items()}
 
 
-def check_shared(press: Press, shared: list[str]) -> None:
-    """Raise `InputError` for a shared coefficient that the press file does not leave free."""
-    free = [n for n in press.coefficient_names if not press.coefficient(n).fixed]
-    if wrong := [name for name in shared if name not in free]:
-        none_free = say("terminal-shared-none-free", name=wrong[0])
-        raise InputError(say("terminal-shared-unknown", name=wrong[0], known=tuple(free)) if free else none_free)
-
-
 def parse_program(settings: list[str]) -> dict[str, float]:
     """Read ``KEY=VALUE`` settings. Raises `InputError` naming a wrong one."""
     found: dict[str, float] = {}
@@ -241,18 +234,6 @@ def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program |
         unknown = tuple(missing if found.dependence is not None else settings)
         raise InputError(say("terminal-program-not-known", runs=len(found.runs), settings=unknown))
     return found.program(settings)
-
-
-def check_method(method: str, *, averages: bool) -> str:
-    """Return the method's full name; refuse an unknown one before any work."""
-    if method != "default":
-        from softsensor.fitting.paper.procedures import METHODS  # its solvers load slowly
-
-        if method not in METHODS:
-            raise InputError(say("terminal-method-unknown", method=method, known=("default", *METHODS)))
-    elif averages:
-        raise InputError(say("terminal-averages-need-method"))
-    return f"{method}:averages" if averages else method
 
 
 def _reproduce(options: FitOptions) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from daq.given import names_of
 from daq.records import with_frozen_fields
 from daq.words import Message, say
 from daq.words.message import chosen
@@ -15,6 +16,7 @@ from softsensor.face.inputs import read_press, runs_of
 from softsensor.face.showing import UNKNOWN, about, lines_html, printed, shown, table_html
 from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.identifiability import is_verdict_on
+from softsensor.fitting.options import check_shared, full_method
 from softsensor.fitting.remarks import remarks_together
 from softsensor.fitting.result import rounded
 from softsensor.heat.model_file import ModelFile
@@ -121,13 +123,27 @@ def _with_ends(value: float, ends: tuple[float, float]) -> str:
     return f"{_digits(value, ends)} ({low} … {high})"
 
 
-def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = False) -> FitResult:
+def fit(
+    runs: AnyRun | Sequence[AnyRun],
+    press: AnyPress,
+    *,
+    shared: str | Sequence[str] = (),
+    method: str = "default",
+    averages: bool = False,
+    profiles: bool = False,
+) -> FitResult:
     """Fit the heat transfer coefficients of each run and of all together. [W/m²K]
 
     Parameters
     ----------
     runs
         One run or several, as files, tables or `Run`. [°C, s]
+    shared
+        Coefficient or coefficients with one value in all runs.
+    method
+        ``default``, or one of the paper's: ``least_squares``, ``nelder_mead``, ``nelder_mead_then_least_squares``.
+    averages
+        With a method of the paper: averages of the upper and of the lower sensors, not every sensor.
     profiles
         Work out the likelihood's profile of each coefficient too, for the JSON; it takes longer.
 
@@ -135,7 +151,8 @@ def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = Fa
     ------
     InputError
         For a run or press file that cannot be read, words in a column that the press file names, a run without a
-        platen's column, without sensors or without the panel's data, and no run at all.
+        platen's column, without sensors or without the panel's data, no run at all, an unknown method, and a
+        shared coefficient that the press file fixes.
 
     Examples
     --------
@@ -148,5 +165,8 @@ def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = Fa
     True
     """
     described = read_press(press)
-    found = with_frozen_fields(fit_campaign(described, runs_of(runs, described), profiles=profiles))
+    together, full = names_of(shared), full_method(method, averages=averages)
+    check_shared(described, together)
+    read = runs_of(runs, described)
+    found = with_frozen_fields(fit_campaign(described, read, shared=together, profiles=profiles, method=full))
     return FitResult(replace(found, runs=tuple(map(with_frozen_fields, found.runs))))

@@ -574,6 +574,23 @@ def test_fit_gives_what_the_command_writes(fitted, written):
     assert len(repr(fitted)) < 3000
 
 
+def test_a_fit_takes_what_the_command_takes(tmp_path):
+    runs, out = [str(path) for path in SAMPLES[5:8]], tmp_path / "fit.json"
+    paper = ["--method", "least_squares", "--averages"]
+    assert main(["fit", *runs, "--press", str(LAB), "--shared", "h_pp_c", *paper, "--json", str(out)]) == 0
+    found = softsensor.fit(runs, LAB, shared="h_pp_c", method="least_squares", averages=True)
+    ours, theirs = json.loads(found.to_json()), json.loads(out.read_text())
+    assert ours["campaign"] == theirs["campaign"]
+    assert [r["coefficients"] for r in ours["runs"]] == [r["coefficients"] for r in theirs["runs"]]
+    assert found.campaign.shared == ("h_pp_c",)
+    with pytest.raises(daq.InputError, match="method annealing: must be one of default, least_squares"):
+        softsensor.fit(runs, LAB, method="annealing")
+    with pytest.raises(daq.InputError, match="averages goes with one of the paper's methods"):
+        softsensor.fit(runs, LAB, averages=True)
+    with pytest.raises(daq.InputError, match="shared h_x: must be one of h_p_o"):
+        softsensor.fit(runs, LAB, shared=["h_x"])
+
+
 def test_a_fit_of_one_run_tells_one_number_a_coefficient_and_no_scatter():
     one = softsensor.fit(SHORT, LAB)
     (run,) = one.campaign.runs
