@@ -95,12 +95,17 @@ def diagnose(options: DiagnoseOptions) -> None:
             progress=lambda _what, share: done(round(100 * share)),
             law=True if options.law else None,
         )
-    rehearsal = _rehearsed(found, _rehearsal_plan(found, options), options.dask) if options.rehearse else None
     with working(say("terminal-progress-writing")):
-        write_all(_contents(found, rehearsal, options))
         ahead = list(_ahead(described, found))
     for line in (*_lines(found, law=options.law), *ahead):
         write_line(line)
+    rehearsal = None
+    try:
+        if options.rehearse:
+            rehearsal = _rehearsed(found, _rehearsal_plan(found, options), options.dask)
+    finally:  # a rehearsal that breaks off takes no diagnosis with it
+        with working(say("terminal-progress-writing")):
+            write_all(_contents(found, rehearsal, options))
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
         write_line(line)
 
@@ -124,7 +129,10 @@ def _contents(found: Diagnosis, rehearsal: Rehearsal | None, options: DiagnoseOp
 
 
 def _check_rehearsal(options: DiagnoseOptions) -> None:
-    """Refuse options without a rehearsal, and effects that do not exist, before any work. Raises `InputError`."""
+    """Refuse options without a rehearsal, effects that do not exist and a file of something else, before any work.
+
+    Raises `InputError`.
+    """
     alone = (options.rehearse_campaigns, options.rehearse_effect, options.rehearse_file, options.dask)
     if any(alone) and not options.rehearse:
         raise InputError(say("rehearsal-options-alone"))
@@ -133,6 +141,10 @@ def _check_rehearsal(options: DiagnoseOptions) -> None:
 
         for one in options.rehearse_effect:
             sized(one)
+    if options.rehearse_file is not None:
+        from softsensor.jobs.rehearsals import check_file
+
+        check_file(options.rehearse_file)
 
 
 def _rehearsal_plan(found: Diagnosis, options: DiagnoseOptions) -> RehearsalPlan:
@@ -153,7 +165,7 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
     begin = say("rehearsal-begins", campaigns=len(plan.tasks), done=len(plan.done), runs=len(plan.campaign.runs))
     write_line(begin)
     if plan.tasks and not dask:
-        minutes = max(1.0, round(plan.minutes(found.seconds, workers)))
+        minutes = max(1.0, round(plan.minutes(found.seconds - found.law_seconds, workers)))
         write_line(say("rehearsal-takes", minutes=minutes, workers=workers))
     with working(say("terminal-progress-rehearsing", campaigns=total), total) as done:
         done(len(plan.done))
@@ -168,7 +180,7 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
 
 def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
     """Yield the table of power and false names."""
-    from softsensor.report.rehearsal_rows import HEADS, none_message, rehearsal_rows
+    from softsensor.report.rehearsal_rows import HEADS, lost_messages, none_message, rehearsal_rows
 
     yield in_words(say("rehearsal-title", runs=rehearsal.runs))
     heads = [in_words(say(code)) for code in HEADS]
@@ -176,6 +188,7 @@ def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
     if cells:
         yield from aligned([heads, *cells])
     yield in_words(none_message(rehearsal))
+    yield from map(in_words, lost_messages(rehearsal))
     yield in_words(say("rehearsal-own-model"))
 
 

@@ -1160,8 +1160,13 @@ law-variable-time_since_closing_s = Zeit seit dem Schließen in s
 
 rehearsal-alone = allein genannt
 rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Versuchsreihen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
+rehearsal-file-other = { $path }: enthält anderes als fertige Versuchsreihen einer Probe; eine neue Datei angeben oder die einer früheren Probe
 rehearsal-found = gefunden
 rehearsal-heading = Wie oft eine solche Diagnose richtig ist
+rehearsal-lost = { $count ->
+    [one] { $count } der Versuchsreihen fehlt und zählt
+   *[other] { $count } der Versuchsreihen fehlen und zählen
+} nirgends mit: Die Prozesse, die sie simulierten, wurden abgebrochen.
 rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Versuchsreihen eine genannt.
 rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können sie nicht zeigen; wählbar sind { $known }
 rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file und --dask gehören zu --rehearse; es mit angeben
@@ -1170,6 +1175,7 @@ rehearsal-rate = { $count } von { $of } ({ NUMBER($low, maximumFractionDigits: 0
 rehearsal-size = --rehearse-effect { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
 rehearsal-size-cell = { $value } { $unit }
 rehearsal-size-head = Größe
+rehearsal-size-none = --rehearse-effect { $name }={ $size }: in dieser Größe ist die Ursache nicht vorhanden; Versuchsreihen ohne verborgene Ursache werden ohnehin geprobt
 rehearsal-takes = Das dauert etwa { NUMBER($minutes, maximumFractionDigits: 0) } min mit { $workers } { $workers ->
     [one] Prozess
    *[other] Prozessen

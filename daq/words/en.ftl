@@ -1143,8 +1143,13 @@ law-variable-time_since_closing_s = time since closing in s
 
 rehearsal-alone = named alone
 rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaigns to diagnose, { $done } done before. They come from the sensor's own model with these runs' programs, noise and scatter.
+rehearsal-file-other = { $path }: holds something else than finished campaigns of a rehearsal; give a new file, or the one of an earlier rehearsal
 rehearsal-found = found
 rehearsal-heading = How often such a diagnosis is right
+rehearsal-lost = { $count ->
+    [one] { $count } of the campaigns is missing and counts
+   *[other] { $count } of the campaigns are missing and count
+} nowhere: the processes that simulated them were killed.
 rehearsal-none = With nothing hidden, a cause is named in { $rate } of the campaigns.
 rehearsal-not-testable = --rehearse-effect { $name }: these runs cannot show it; choose from { $known }
 rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file and --dask go with --rehearse; give it too
@@ -1153,6 +1158,7 @@ rehearsal-rate = { $count } of { $of } ({ NUMBER($low, maximumFractionDigits: 0)
 rehearsal-size = --rehearse-effect { $name }={ $size }: the size must be a number from { $low } to { $high }
 rehearsal-size-cell = { $value } { $unit }
 rehearsal-size-head = size
+rehearsal-size-none = --rehearse-effect { $name }={ $size }: of this size it is absent; campaigns with nothing hidden are rehearsed anyway
 rehearsal-takes = This takes about { NUMBER($minutes, maximumFractionDigits: 0) } min on { $workers } { $workers ->
     [one] process
    *[other] processes

@@ -110,7 +110,7 @@ class Diagnosis:
     next_measurement: Message
     """What would settle most of what is open."""
     seconds: float
-    """How long it took. [s]"""
+    """How long it took, the law included. [s]"""
     faults: dict[str, tuple[ChannelFault, ...]]
     """Faulty channels by run."""
     stages: tuple[SettledModel, ...]
@@ -123,6 +123,8 @@ class Diagnosis:
     """What is to be known of it."""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
+    law_seconds: float = 0.0
+    """How long it took to look for that. [s]"""
 
     def __repr__(self) -> str:
         """Return on one screen the verdict, the causes named and suspected, and the residual. [K]"""

@@ -191,6 +191,8 @@ class Rehearsal:
     """Of the campaigns that hide nothing, those in which a cause is named."""
     untestable: tuple[str, ...]
     """Causes that these runs can say nothing about."""
+    lost: int = 0
+    """Campaigns over which workers were killed, and that count nowhere."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``rehearsal`` in ``diagnose --json``."""
@@ -200,6 +202,7 @@ class Rehearsal:
             "effects": [row.as_json() for row in self.rows],
             "none": {"campaigns": self.nothing.of, "false_names": self.nothing.as_json()},
             "untestable": list(self.untestable),
+            "lost": self.lost,
         }
 
 
@@ -271,8 +274,8 @@ def hidden_of(campaign: Campaign, names: Sequence[str] = ()) -> list[Hidden]:
     Raises
     ------
     InputError
-        For an unknown cause, a size that is no number, outside what the cause can be or of one without a size, and
-        for a cause that these runs cannot show.
+        For an unknown cause, a size that is no number, outside what the cause can be, at which it is absent or of
+        one without a size, and for a cause that these runs cannot show.
     """
     if not names:
         return [_sized(find_effect(name), "") for name in campaign.testable]
@@ -302,6 +305,8 @@ def _sized(effect: Effect, size: str) -> Hidden:
         if first is None or not first.lower <= value <= first.upper:
             limits = (0.0, 0.0) if first is None else (first.lower, first.upper)
             raise InputError(say("rehearsal-size", name=effect.name, size=size, low=limits[0], high=limits[1]))
+        if value == first.neutral:
+            raise InputError(say("rehearsal-size-none", name=effect.name, size=size))
         typical[first.name] = value
     return Hidden(effect.name, tuple(typical.items()))
 
@@ -414,8 +419,11 @@ def _loose(campaign: Campaign, rng: np.random.Generator) -> str:
     return str(rng.choice(_faces(campaign.runs[0], campaign.press)))
 
 
-def rehearsal_of(campaign: Campaign, outcomes: Iterable[Outcome]) -> Rehearsal:
-    """Count what finished rehearsals found, in the order of the catalogue's causes as they were hidden."""
+def rehearsal_of(campaign: Campaign, outcomes: Iterable[Outcome], lost: int = 0) -> Rehearsal:
+    """Count what finished rehearsals found, in the order of the catalogue's causes as they were hidden.
+
+    `lost`: how many never finished.
+    """
     by: dict[Hidden, list[Outcome]] = {}
     for outcome in outcomes:
         by.setdefault(outcome.hidden, []).append(outcome)
@@ -423,7 +431,7 @@ def rehearsal_of(campaign: Campaign, outcomes: Iterable[Outcome]) -> Rehearsal:
     known = sorted((h for h in by if h.name), key=lambda h: (order[h.name], h.parameters))
     nothing = [bool(o.sets) for o in by.get(Hidden(NOTHING), [])]
     unseen = tuple(n for n in catalogue() if n not in campaign.testable)
-    return Rehearsal(len(campaign.runs), tuple(_row(h, by[h]) for h in known), _rate(nothing), unseen)
+    return Rehearsal(len(campaign.runs), tuple(_row(h, by[h]) for h in known), _rate(nothing), unseen, lost)
 
 
 def _row(hidden: Hidden, outcomes: Sequence[Outcome]) -> Row:

@@ -6,11 +6,12 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from daq.records import InputError
+from daq.words import say
 from softsensor.diagnosis.rehearsal import (
     NOTHING,
     Campaign,
@@ -20,8 +21,7 @@ from softsensor.diagnosis.rehearsal import (
     rehearsal_of,
     rehearse_one,
 )
-from softsensor.jobs.cluster import on_dask
-from softsensor.jobs.fitter import new_workers
+from softsensor.jobs.cluster import handed_out
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -75,6 +75,8 @@ def local_workers(plan: RehearsalPlan) -> int:
 def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None, dask: str = "") -> Rehearsal:
     """Rehearse what a plan holds on local processes, or on Dask; each finished campaign is kept at once.
 
+    One over which workers were killed is left out, and the answer says how many were.
+
     Parameters
     ----------
     progress
@@ -88,30 +90,22 @@ def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None,
         For a scheduler that does not answer.
     OSError
         For a file that cannot be written.
-    BrokenProcessPool
-        Where a worker was killed; what is finished is kept.
     """
     done, mark = list(plan.done), _mark(plan.campaign)
-    for outcome in _outcomes(plan, dask):
-        done.append(outcome)
-        if plan.file is not None:
-            _keep(plan.file, mark, outcome)
+    for number, outcome in enumerate(_outcomes(plan, dask), start=len(plan.done) + 1):
+        if outcome is not None:
+            done.append(outcome)
+            if plan.file is not None:
+                _keep(plan.file, mark, outcome)
         if progress is not None:
-            progress(len(done))
-    return rehearsal_of(plan.campaign, done)
+            progress(number)
+    lost = len(plan.done) + len(plan.tasks) - len(done)
+    return rehearsal_of(plan.campaign, done, lost)
 
 
-def _outcomes(plan: RehearsalPlan, dask: str) -> Iterator[Outcome]:
+def _outcomes(plan: RehearsalPlan, dask: str) -> Iterator[Outcome | None]:
     work = partial(_rehearse, plan.campaign)
-    if dask and plan.tasks:
-        yield from (outcome for _, outcome in on_dask(work, plan.tasks, dask) if outcome is not None)
-    elif plan.tasks:
-        pool = new_workers(local_workers(plan))
-        try:
-            for future in as_completed([pool.submit(work, task) for task in plan.tasks]):
-                yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    return (outcome for _, outcome in handed_out(work, plan.tasks, local_workers(plan), dask))
 
 
 def _rehearse(campaign: Campaign, task: RehearsalTask) -> Outcome:
@@ -123,17 +117,32 @@ def _key(task: RehearsalTask) -> tuple[str, int]:
 
 
 def _mark(campaign: Campaign) -> str:
-    """Return by what a campaign is known again: the same runs, press and fit give the same mark."""
+    """Return by what a campaign is known again: the same runs, press, fit and causes give the same mark."""
     inputs = [
         campaign.press.model_dump_json(),
         repr([(n, f"{v:.6g}") for n, v in sorted(campaign.levels.items())]),
+        repr(campaign.testable),
     ]
     digest = hashlib.sha256("".join(inputs).encode())
     for one in campaign.runs:
         digest.update(repr((one.run.name, sorted(one.run.header.items(), key=str))).encode())
+        digest.update(one.run.time_s.tobytes())
         for name in sorted(one.run.columns):
             digest.update(name.encode() + one.run.columns[name].tobytes())
     return digest.hexdigest()[:16]
+
+
+_HEAD = b'{"campaign": '
+"""What a line, and so a file of finished campaigns, begins with."""
+
+
+def check_file(file: Path) -> None:
+    """Refuse to keep finished campaigns in a file of something else. Raises `InputError`, or `OSError`."""
+    if file.exists():
+        with file.open("rb") as content:
+            head = content.read(len(_HEAD))
+        if not _HEAD.startswith(head):
+            raise InputError(say("rehearsal-file-other", path=str(file)))
 
 
 def _keep(file: Path, mark: str, outcome: Outcome) -> None:
@@ -145,7 +154,7 @@ def _keep(file: Path, mark: str, outcome: Outcome) -> None:
 def _finished(file: Path, mark: str) -> dict[tuple[str, int], tuple[str, tuple[tuple[str, ...], ...]]]:
     """Return what a file says of a campaign; a last line torn by the end of its process does not count."""
     found = {}
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+    for line in file.read_text(encoding="utf-8", errors="replace").splitlines() if file.exists() else ():
         try:
             one = json.loads(line)
             if one["campaign"] == mark:

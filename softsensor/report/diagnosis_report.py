@@ -16,7 +16,7 @@ from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called, parameters_shown, place_words
 from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page, signed_kelvins
-from softsensor.report.rehearsal_rows import HEADS, none_message, rehearsal_rows
+from softsensor.report.rehearsal_rows import HEADS, lost_messages, none_message, rehearsal_rows
 
 SHOWN_CANDIDATES = 8
 """By hand, 2026-11: what a page of print holds."""
@@ -52,6 +52,7 @@ def _rehearsal(rehearsal: Rehearsal) -> dict[str, Any]:
         "heads": [say(code) for code in HEADS],
         "rows": rehearsal_rows(rehearsal),
         "none": none_message(rehearsal),
+        "lost": lost_messages(rehearsal),
     }
 
 

@@ -33,6 +33,11 @@ def none_message(rehearsal: Rehearsal) -> Message:
     return say("rehearsal-none", rate=rate_message(rehearsal.nothing))
 
 
+def lost_messages(rehearsal: Rehearsal) -> tuple[Message, ...]:
+    """Say how many campaigns are missing; nothing where all were finished."""
+    return (say("rehearsal-lost", count=rehearsal.lost),) if rehearsal.lost else ()
+
+
 def rate_message(rate: Rate) -> Message:
     """Say a count, out of how many, and the interval of its chance."""
     low, high = (100.0 * end for end in rate.ci95)

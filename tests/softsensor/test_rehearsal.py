@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import time
 from functools import cache
 
 import numpy as np
@@ -15,10 +18,11 @@ from daq.files.run_file import write_run
 from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml
-from softsensor.diagnosis import rehearsal
+from softsensor.diagnosis import rehearsal, verdict
 from softsensor.diagnosis.rehearsal import Campaign, Hidden, Outcome, Rate, campaign_of, hidden_of, rehearsal_of
 from softsensor.diagnosis.verdict import diagnose
 from softsensor.jobs import rehearsals
+from softsensor.report.rehearsal_rows import lost_messages
 from softsensor.signals.doubt import constant_doubts
 
 TINY = Plan(
@@ -166,7 +170,12 @@ def test_a_hidden_sink_cools_the_simulated_faces():
 
 @pytest.mark.parametrize(
     ("asked", "expected"),
-    [("edge_loss=much", "edge_loss"), ("sensor_fault=1", "sensor_fault"), ("clock_offset", "clock_offset")],
+    [
+        ("edge_loss=much", "edge_loss"),
+        ("edge_loss=0", "of this size it is absent"),
+        ("sensor_fault=1", "sensor_fault"),
+        ("clock_offset", "clock_offset"),
+    ],
 )
 def test_a_cause_that_cannot_be_hidden_is_refused(asked, expected):
     with pytest.raises(InputError, match=expected):
@@ -209,9 +218,74 @@ def test_a_rehearsal_killed_while_it_wrote_goes_on_and_gives_the_same_table(tmp_
 def test_finished_campaigns_of_other_runs_do_not_count(tmp_path):
     file = tmp_path / "finished.jsonl"
     fill_finished(file, [""])
-    fewer = rehearsal.replace(campaign(), runs=campaign().runs[1:])
+    first, *others = campaign().runs
+    later = rehearsal.replace(first, run=rehearsal.replace(first.run, time_s=first.run.time_s + 0.01))
     assert len(rehearsals.plan_rehearsal(campaign(), [], 2, file).done) == 1
-    assert len(rehearsals.plan_rehearsal(fewer, [], 2, file).done) == 0
+    for changed in (
+        rehearsal.replace(campaign(), runs=tuple(others)),
+        rehearsal.replace(campaign(), runs=(later, *others)),
+        rehearsal.replace(campaign(), testable=(*campaign().testable, "draught_above")),
+    ):
+        assert len(rehearsals.plan_rehearsal(changed, [], 2, file).done) == 0
+
+
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n", b"time_s,top_1\n0,21\n", b'{"verdict": "named"}\n'])
+def test_a_file_of_something_else_is_not_written_to(tmp_path, content):
+    file = tmp_path / "other"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match="something else"):
+        rehearsals.check_file(file)
+    assert file.read_bytes() == content
+
+
+def test_a_file_torn_in_its_first_line_goes_on(tmp_path):
+    file = tmp_path / "finished.jsonl"
+    rehearsals.check_file(file)
+    fill_finished(file, [""])
+    kept = file.read_bytes()
+    for count in (0, 5, len(kept)):
+        file.write_bytes(kept[:count])
+        rehearsals.check_file(file)
+
+
+def test_a_campaign_whose_workers_are_killed_is_missing_and_said_to_be(monkeypatch):
+    """Real processes; each that is given the second campaign kills itself."""
+    monkeypatch.setattr(rehearsals, "_rehearse", killed_over_the_second)
+    plan = rehearsals.plan_rehearsal(campaign(), [], 3)
+    counts: list[int] = []
+    found = rehearsals.rehearse(plan, counts.append)
+    assert (found.nothing.of, found.lost, counts) == (2, 1, [1, 2, 3])
+    assert found.as_json()["lost"] == 1
+    assert [str(line) for line in lost_messages(found)] == [
+        "1 of the campaigns is missing and counts nowhere: the processes that simulated them were killed."
+    ]
+
+
+def killed_over_the_second(_campaign: Campaign, task: rehearsals.RehearsalTask) -> Outcome:
+    if task.number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Outcome(task.hidden, task.number, "no_effect", ())
+
+
+def test_a_rehearsal_that_cannot_begin_takes_no_diagnosis_with_it(tmp_path, capsys):
+    (tmp_path / "press.toml").write_text(press_toml())
+    write_run(runs()[0], tmp_path / "run.csv")
+    out = tmp_path / "found.json"
+    call = ["diagnose", str(tmp_path / "run.csv"), "--press", str(tmp_path / "press.toml"), "--json", str(out)]
+    assert main([*call, "--rehearse", "--rehearse-effect", "law_contact"]) == 2
+    shown = capsys.readouterr()
+    assert "these runs cannot show it" in shown.err
+    assert "too_few_runs" in shown.out
+    assert "rehearsal" not in json.loads(out.read_text())
+
+
+def test_what_a_rehearsal_takes_is_reckoned_without_the_search_for_a_law(monkeypatch):
+    """No rehearsed diagnosis looks for one."""
+    slow = 0.3
+    monkeypatch.setattr(verdict, "free_law", lambda _stage: time.sleep(slow))
+    found = diagnose(parse_press(press_toml()), runs()[:1], effects=["edge_loss"], law=True)
+    assert found.law_seconds == pytest.approx(slow, abs=0.2)
+    assert found.seconds > found.law_seconds
 
 
 def test_the_command_tells_how_long_it_takes_and_where_the_campaigns_come_from(tmp_path, capsys, monkeypatch):
