@@ -173,7 +173,8 @@ class SorptionTable(Table):
     factor: Annotated[Number, Field(gt=0.2, lt=3.0)] = 1.0
     """Its equilibrium moisture over solid wood's."""
     factor_sd: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.15
-    """Boards of fibres and resin hold a tenth to a third less than solid wood. Set by hand, 2026-11."""
+    """Standard deviation of the factor: boards of fibres and resin hold a tenth to a third less than solid wood.
+    Set by hand, 2026-11."""
 
 
 class Resin(Table):

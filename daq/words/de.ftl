@@ -1212,6 +1212,7 @@ advise-source-effects = die Größe der gefundenen Ursachen (mehr Pressungen)
 advise-source-kinetics = die Kinetik des Harzes (eine DSC dieses Papiers)
 advise-source-platens = die wahre Temperatur der Heizplatten (kalibrieren)
 advise-source-sorption = die Isotherme der Platte (ein Sorptionsversuch)
+advise-steam-without-moisture = eine Grenze für Dampf braucht die Feuchte der Platte; { $key } bei der Platte angeben oder steam_most_kPa aus den Grenzen nehmen
 plan-best = Am besten: { $settings }. { $prospect }
 plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
@@ -1290,7 +1291,7 @@ reason-store-away = der Datenspeicher antwortet nicht
 resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier messen und dessen Kinetik in die Harzdatei eintragen
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
 resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
-resin-no-moisture = { $key } fehlt im Kopf, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
+resin-no-moisture = { $key } fehlt im Kopf oder ist 0, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
 steam-limit-no-marks = von keiner der { $runs } als good oder blister markierten Pressungen ist der Dampf beim Öffnen bekannt; Platten markieren ({ $key }) und panel.moisture_percent angeben
 
 ## softsensor.jobs: services and nights

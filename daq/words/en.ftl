@@ -1195,6 +1195,7 @@ advise-source-effects = the size of the diagnosed causes (more runs)
 advise-source-kinetics = the resin's kinetics (a DSC of this paper)
 advise-source-platens = the platens' true temperature (calibrate them)
 advise-source-sorption = the board's isotherm (a sorption test)
+advise-steam-without-moisture = a limit of steam needs the panel's moisture; add { $key } to the panel, or take steam_most_kPa out of the limits
 plan-best = Best: { $settings }. { $prospect }
 plan-best-is-usual = Best: the usual settings. { $prospect }
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
@@ -1273,7 +1274,7 @@ reason-store-away = the store does not answer
 resin-is-example = the resin "{ $name }" is an example; measure the paper at hand and put its own kinetics into the resin file
 resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
 resin-no-limits = the resin file has no limit in [limits], so open_now stays 0; set cure_least
-resin-no-moisture = { $key } is missing in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
+resin-no-moisture = { $key } is missing or 0 in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
 steam-limit-no-marks = for none of { $runs } runs marked good or blister is the steam at opening known; mark panels ({ $key }), and give panel.moisture_percent
 
 ## softsensor.jobs: services and nights

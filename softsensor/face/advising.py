@@ -103,7 +103,8 @@ def advise(  # noqa: PLR0913 - one argument a wish
     Raises
     ------
     InputError
-        For no limit, limits that contradict each other, or a panel, range, time, price or press that cannot be.
+        For no limit, limits that contradict each other, one of steam without the panel's moisture, or a panel,
+        range, time, price or press that cannot be.
 
     Examples
     --------

@@ -21,9 +21,9 @@ from daq.records import Array
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
 from softsensor.opening.kinetics import Course, CureProgress, Kinetics, advance, kinetics_of
-from softsensor.signals.doubt import Source, constant_doubts
+from softsensor.opening.steam import MOISTURE, stated_moisture
+from softsensor.signals.doubt import constant_doubts
 
-MOISTURE = "panel.moisture_percent"
 MARGINS = 2
 """Columns beyond the filter's parameters: one kelvin at the face, and its whole rise from the start."""
 
@@ -37,15 +37,13 @@ class ResinSetup:
     grades: GradesTable
     sorption: SorptionTable
     moisture: tuple[float, float]
-    """Mean and standard deviation, NaN where the header is silent. [% of dry mass]"""
+    """Mean and standard deviation, NaN where the header states none. [% of dry mass]"""
 
 
 def resin_setup(resin: Resin, header: Mapping[str, Any], press: Press) -> ResinSetup:
     """Return what a run's filters need of a resin file; the header has been checked."""
-    moisture = constant_doubts(header, press).get(MOISTURE)
-    known = (math.nan, math.nan)
-    if moisture is not None and moisture.source is not Source.GUESS:
-        known = moisture.value, moisture.sd
+    moisture = stated_moisture(constant_doubts(header, press))
+    known = (math.nan, math.nan) if moisture is None else (moisture.value, moisture.sd)
     return ResinSetup(kinetics_of(resin), resin.limits, resin.grades, resin.sorption, known)
 
 
@@ -56,7 +54,7 @@ def resin_remarks(resin: Resin, header: Mapping[str, Any]) -> tuple[Message, ...
         found.append(say("resin-is-example", name=resin.resin.name))
     if not resin.limits.any:
         found.append(say("resin-no-limits"))
-    if resin.limits.steam_most_kPa is not None and header.get(MOISTURE) is None:
+    if resin.limits.steam_most_kPa is not None and not header.get(MOISTURE):
         found.append(say("resin-no-moisture", key=MOISTURE))
     return tuple(found)
 

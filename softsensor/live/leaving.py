@@ -23,7 +23,7 @@ from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import MARGIN_K, MARGIN_SHARE, Mixture
 from softsensor.live.mixture_steps import Change, Components
 from softsensor.opening.limits import Broken, Normal, PanelState, broken
-from softsensor.opening.steam import FIT_PERCENT, steam_with_slopes
+from softsensor.opening.steam import isotherm_sd, steam_with_slopes
 from softsensor.signals.unknown import BAND
 
 UNKNOWN = Normal(np.array(math.nan), np.array(math.nan))
@@ -164,7 +164,7 @@ def _cure(filters: Sequence[KalmanFilter]) -> tuple[Normal, Normal, Normal]:
 
 def _steam(filters: Sequence[KalmanFilter], resin: ResinSetup) -> Normal:
     """Return the logarithm of the pressure of steam, as the model in force and its hypotheses see it. [ln kPa]"""
-    if not math.isfinite(resin.moisture[0]) or resin.moisture[0] <= 0.0:
+    if not math.isfinite(resin.moisture[0]):
         return UNKNOWN
     return _pooled(filters, [_steam_of(one, resin) for one in filters])
 
@@ -177,8 +177,8 @@ def _steam_of(one: KalmanFilter, resin: ResinSetup) -> tuple[float, Array, float
     share = model.stack.dx[inside] / model.stack.dx[inside].sum()
     steam = steam_with_slopes(model.state.t[inside], share, moisture, resin.sorption.factor)
     readout = model.state.s[: len(one.linearised.names), inside] @ steam.by_temperature
-    of_water = float(steam.by_moisture) * math.hypot(sd, FIT_PERCENT * resin.sorption.factor)
-    of_board = float(steam.by_factor) * resin.sorption.factor_sd / resin.sorption.factor
+    of_water = float(steam.by_moisture) * sd
+    of_board = float(steam.by_factor) * isotherm_sd(resin.sorption, moisture)
     whole = float(steam.by_temperature.sum())
     variance = of_water**2 + of_board**2 + (MARGIN_K * whole) ** 2
     return float(np.log(steam.pressure_kPa)), readout, variance

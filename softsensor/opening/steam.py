@@ -19,11 +19,18 @@ of moisture, 0.13 % on average (W. T. Simpson, Forest Prod. J. 21(5) (1971) 48, 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from daq.press.resin_file import SorptionTable
 from daq.records import COLDEST_C, Array
+from softsensor.signals.doubt import Doubt, Source
+
+MOISTURE = "panel.moisture_percent"
+"""The header's key that steam follows."""
 
 HOTTEST_SORPTION_C = 120.0
 """Above, the isotherm is that of 120 °C at the same humidity: K₁ of the fit reaches zero at 129 °C, near the end
@@ -77,6 +84,27 @@ def equilibrium_moisture(humidity: Array | float, temperature_C: Array | float) 
     Kh = K * np.clip(humidity, 0.0, 1.0)
     hydrates = (K1 * Kh + 2.0 * K1 * K2 * Kh**2) / (1.0 + K1 * Kh + K1 * K2 * Kh**2)
     return np.asarray(1800.0 / weight * (Kh / (1.0 - Kh) + hydrates))  # Wood Handbook
+
+
+def stated_moisture(doubts: Mapping[str, Doubt]) -> Doubt | None:
+    """Return the panel's moisture out of a run's constants; None where nobody stated it, or that there is none."""
+    doubt = doubts.get(MOISTURE)
+    known = doubt is not None and doubt.source in (Source.STATED, Source.MEASURED) and doubt.value > 0.0
+    return doubt if known else None
+
+
+def isotherm_sd(sorption: SorptionTable, moisture_percent: float) -> float:
+    """Return the deviation of what a board holds at a humidity: how boards differ, and the fit. [ln %]
+
+    Examples
+    --------
+    Of 8 % the fit's half a percent is a sixteenth, beside 15 % of boards:
+
+    >>> round(isotherm_sd(SorptionTable(factor=1.0, factor_sd=0.15), 8.0), 4)
+    0.1625
+    """
+    fit = FIT_PERCENT * sorption.factor / moisture_percent
+    return math.hypot(sorption.factor_sd / sorption.factor, fit)
 
 
 class Steam(NamedTuple):

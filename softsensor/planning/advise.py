@@ -28,9 +28,9 @@ from daq.tables import explained
 from daq.words import say
 from softsensor.opening.kinetics import Kinetics, equivalent_course, kinetics_of
 from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broken, opening
+from softsensor.opening.steam import MOISTURE, stated_moisture
 from softsensor.planning.made_up import (
     KINETICS,
-    MOISTURE,
     ROW_S,
     SHARE,
     Courses,
@@ -44,6 +44,7 @@ from softsensor.planning.made_up import (
 )
 from softsensor.planning.program import Ranges
 from softsensor.planning.wishes import USUAL_OPEN_S
+from softsensor.signals.doubt import constant_doubts
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -251,12 +252,10 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
     Raises
     ------
     InputError
-        For no limit, a cure limit without a resin, a panel that cannot be, or a press without states.
+        For no limit, one of cure without a resin or of steam without the panel's moisture, a panel that cannot be,
+        or a press without states.
     """
-    if not wish.limits.any:
-        raise InputError(say("advise-no-limit"))
-    if wish.limits.cure_least is not None and wish.resin is None:
-        raise InputError(say("advise-cure-without-resin"))
+    _check_limits(task, wish)
     report = progress or (lambda what, share: None)
     programmes = _grid(task, wish)
     report("draws", 0.0)
@@ -277,6 +276,18 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
     nearest = best or min(tried, key=lambda t: (t.opening.risk, t.opening.beyond))
     savings = _savings(drawn, wish, kinetics, (nearest, known[tried.index(nearest)]))
     return ProgrammeAdvice(task.header, wish, tuple(tried), best, nearest, savings)
+
+
+def _check_limits(task: Task, wish: Wish) -> None:
+    """Refuse limits that nothing could show to hold. Raises `InputError`."""
+    limits = wish.limits
+    if not limits.any:
+        raise InputError(say("advise-no-limit"))
+    if limits.cure_least is not None and wish.resin is None:
+        raise InputError(say("advise-cure-without-resin"))
+    moisture = stated_moisture(constant_doubts(task.header, task.press))
+    if limits.steam_most_kPa is not None and moisture is None:
+        raise InputError(say("advise-steam-without-moisture", key=MOISTURE))
 
 
 def limits_of(resin: Resin | None, given: Mapping[str, float]) -> LimitsTable:
@@ -319,11 +330,9 @@ def quantities_of(drawn: Ensemble, courses: Courses, wish: Wish, kinetics: Kinet
 
 
 def _steam(drawn: Ensemble, courses: Courses, resin: Resin | None) -> Array:
-    """Return the steam's pressure (draws, t); NaN where nothing says how moist the panel is. [kPa]"""
-    if (doubt := drawn.doubts.get(MOISTURE)) is None:
-        return np.full(courses.layers_C.shape[:2], np.nan)
+    """Return the steam's pressure (draws, t). [kPa]"""
     rows = np.unique(np.append(np.arange(0, len(courses.press_time_s), STEAM_ROWS), len(courses.press_time_s) - 1))
-    pressure = steam_of(drawn.draws, doubt, courses.layers_C[:, rows], resin)
+    pressure = steam_of(drawn, courses.layers_C[:, rows], resin)
     times, thin = courses.press_time_s, courses.press_time_s[rows]
     return np.exp([np.interp(times, thin, log_p) for log_p in np.log(pressure)])
 

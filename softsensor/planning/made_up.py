@@ -17,7 +17,7 @@ from numpy.polynomial import Legendre
 
 from daq.press.header import panel_of
 from daq.press.press_file import Press, press_for_run
-from daq.press.resin_file import Resin
+from daq.press.resin_file import Resin, SorptionTable
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.effects import contact_load, find_effect
@@ -26,7 +26,7 @@ from softsensor.heat.batch import solve_many
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
-from softsensor.opening.steam import steam_pressure
+from softsensor.opening.steam import MOISTURE, isotherm_sd, stated_moisture, steam_pressure
 from softsensor.signals.digest import STEP_S
 from softsensor.signals.doubt import Doubt, constant_doubts
 from softsensor.signals.instrument import PLATEN_TOTAL_K, RAMP_S
@@ -66,8 +66,6 @@ READ = 17
 nine depths, no better with 21: `tests/calibration/panel_depths.py`, draws of seed 22, 2026-11-30)."""
 DEPTHS, SHARE = nodes(READ)
 """Where temperatures are read, as shares of the thickness, and of how much of the panel each is."""
-MOISTURE = "panel.moisture_percent"
-"""The header's key that steam follows."""
 DRIEST_PERCENT = 0.1
 """A draw's panel holds at least so much water: what is drawn below is no panel. [% of dry mass]"""
 STILL_MATTER = 0.8
@@ -233,11 +231,17 @@ class Drawn:
     doubts: Mapping[str, Doubt]
 
 
-def steam_of(draws: Draws, moisture: Doubt, layers_C: Array, resin: Resin | None) -> Array:
-    """Return the pressure of steam in panels drawn (draws, t, depths at `DEPTHS`): (draws, t). [kPa]"""
+def steam_of(drawn: Drawn | Ensemble, layers_C: Array, resin: Resin | None) -> Array:
+    """Return the pressure of steam in panels drawn (draws, t, depths at `DEPTHS`): (draws, t). [kPa]
+
+    NaN where nobody stated how moist the panel is, as live.
+    """
+    if (moisture := stated_moisture(drawn.doubts)) is None:
+        return np.full(layers_C.shape[:2], np.nan)
+    draws, sorption = drawn.draws, SorptionTable() if resin is None else resin.sorption
     percent = np.maximum(moisture.value + moisture.sd * draws.of(MOISTURE), DRIEST_PERCENT)
-    factor, sd = (1.0, 0.0) if resin is None else (resin.sorption.factor, resin.sorption.factor_sd)
-    return steam_pressure(layers_C, SHARE, percent, factor * np.exp(sd * draws.of(SORPTION)))
+    boards = np.exp(isotherm_sd(sorption, moisture.value) * draws.of(SORPTION))
+    return steam_pressure(layers_C, SHARE, percent, sorption.factor * boards)
 
 
 def draw(run: Run, press: Press, model: ModelFile, moments: Moments) -> Drawn:

@@ -27,7 +27,8 @@ from daq.words import say
 from softsensor.heat.batch import solve_many
 from softsensor.heat.model_file import ModelFile
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
-from softsensor.planning.made_up import KINETICS, MOISTURE, Drawn, draw, steam_of
+from softsensor.opening.steam import MOISTURE
+from softsensor.planning.made_up import KINETICS, Drawn, draw, steam_of
 from softsensor.planning.program import FACTORS, designed_run, settings_of
 from softsensor.signals.unknown import BAND
 
@@ -191,9 +192,7 @@ class _Solved:
     def steam(self, resin: Resin | None, live: LiveAndDrawn | None) -> Band:
         """Return the steam, near normal in ln p; not known without the panel's moisture."""
         rows = self.layers.shape[1]
-        if (doubt := self.drawn.doubts.get(MOISTURE)) is None:
-            return Band(*np.full((3, rows), np.nan))
         thin = np.unique(np.linspace(0, rows - 1, STEAM_ROWS).astype(int))
-        pressure = steam_of(self.drawn.draws, doubt, self.layers[:, thin], resin)
+        pressure = steam_of(self.drawn, self.layers[:, thin], resin)
         log = Band.of(np.log(pressure), live)
         return Band(*(np.exp(np.interp(np.arange(rows), thin, x)) for x in (log.middle, log.low, log.high)))

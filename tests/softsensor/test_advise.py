@@ -17,14 +17,23 @@ from scipy.special import erfc
 import softsensor
 from api.cli import main
 from daq.press.press_file import Contact, Load, Press, parse_press
-from daq.press.resin_file import Resin, read_resin
+from daq.press.resin_file import Resin, SorptionTable, read_resin
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from softsensor.heat.model_file import FittedValue, ModelFile, model_text
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
-from softsensor.opening.steam import steam_pressure
+from softsensor.opening.steam import FIT_PERCENT, MOISTURE, steam_pressure, steam_with_slopes
 from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, _energy, advise, limits_of, quantities_of
-from softsensor.planning.made_up import DEPTHS, PLATENS, SHARE, Programme, Task, ensemble, made_up_run
+from softsensor.planning.made_up import (
+    DEPTHS,
+    PLATENS,
+    SHARE,
+    Programme,
+    Task,
+    ensemble,
+    made_up_run,
+    steam_of,
+)
 from softsensor.planning.summary import advice_title
 from tests.screens import flooding, text_of
 
@@ -38,6 +47,7 @@ PANEL = MappingProxyType(
         "panel.conductivity_W_mK": 0.12,
         "panel.heat_capacity_J_kgK": 1550.0,
         "panel.initial_temperature_C": 23.0,
+        "panel.moisture_percent": 8.0,
         "ambient.temperature_C": 23.0,
     }
 )
@@ -152,6 +162,34 @@ def test_steam_read_through_a_panel_hot_at_its_faces_is_that_of_all_its_depths()
     read, through = (60.0 + 110.0 * np.exp(-np.minimum(z, 1.0 - z) / 0.12) for z in (DEPTHS, fine))
     found = steam_pressure(read, SHARE, 8.0)
     assert found == pytest.approx(steam_pressure(through, np.full(2000, 1 / 2000), 8.0), rel=0.03)
+
+
+def test_a_limit_of_steam_is_refused_where_nobody_stated_the_moisture_as_it_never_holds_live() -> None:
+    dry = replace(task(), header={k: v for k, v in PANEL.items() if k != MOISTURE})
+    for none in (dry, replace(dry, header={**dry.header, MOISTURE: 0.0})):
+        with pytest.raises(InputError, match=r"steam needs the panel's moisture; add panel\.moisture_percent"):
+            advise(none, Wish(limits_of(resin(), {"steam_most_kPa": 100.0}), resin()))
+
+
+@pytest.mark.parametrize(("factor", "moisture"), [(1.0, 8.0), (0.7, 8.0), (1.0, 4.0)])
+def test_steam_of_a_program_is_as_unsure_of_board_and_fit_as_live(factor: float, moisture: float) -> None:
+    """Live goes by slopes (`steam_with_slopes`): dry board and fit by theirs, here both are drawn."""
+    sorption = SorptionTable(factor=factor, factor_sd=0.1)
+    board = resin().model_copy(update={"sorption": sorption})
+    known = replace(task(), header={**PANEL, MOISTURE: moisture, f"{MOISTURE}.sd": 1e-9})
+    drawn = ensemble(known, Programme(180.0, None))
+    layers = np.full((len(drawn.draws.unit), 1, len(DEPTHS)), 95.0)
+    sd = float(np.log(steam_of(drawn, layers, board)).std(ddof=1))
+    slopes = steam_with_slopes(layers[0], SHARE, moisture, factor)
+    of_fit, of_board = FIT_PERCENT * factor * slopes.by_moisture[0], slopes.by_factor[0] * 0.1 / factor
+    assert sd == pytest.approx(float(np.hypot(of_fit, of_board)), rel=0.15)  # of 96 draws 7 %, and curved
+
+
+def test_less_known_of_a_board_is_never_surer() -> None:
+    drawn = ensemble(task(), Programme(180.0, None))
+    layers = np.full((len(drawn.draws.unit), 1, len(DEPTHS)), 95.0)
+    spread = [float(np.log(steam_of(drawn, layers, known)).std()) for known in (None, resin())]
+    assert spread[0] >= spread[1]
 
 
 def test_two_open_plates_lose_heat_once_however_many_of_them_part_from_the_panel() -> None:

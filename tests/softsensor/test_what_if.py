@@ -61,6 +61,13 @@ def test_more_water_makes_more_steam_and_no_other_core_where_the_model_knows_of_
     assert np.isnan(was.cure.middle).all()  # nobody named a resin
 
 
+def test_steam_of_a_run_whose_moisture_nobody_stated_is_not_known_as_it_was_not_live(pressed):
+    header = {k: v for k, v in pressed.run.header.items() if k != "panel.moisture_percent"}
+    found = what_if(replace(pressed, run=replace(pressed.run, header=header)))
+    assert all(np.isnan(one).all() for one in (found.steam.middle, found.steam.low, found.steam.high))
+    assert np.isfinite(found.core.middle).all()
+
+
 def test_what_cannot_be_asked_is_refused_with_what_can(pressed):
     with pytest.raises(InputError, match=r"this run has no such setting; it has .*press_time_s.*moisture_percent"):
         what_if(pressed, {"colour": 1.0})
