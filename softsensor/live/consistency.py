@@ -18,6 +18,7 @@ from softsensor.live.blocks import SPARSE_S, ScanArrays
 from softsensor.live.channel_steps import Changes, Integers, note_changes
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.instrument import RAMP_S
+from softsensor.signals.robust import Flags
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -210,7 +211,7 @@ class Stillness:
         never = np.full(channels, -math.inf)
         self._changes = Changes(of_face, np.full(channels, np.nan), never, np.full(faces, math.inf))
         self._silenced = np.full(faces, math.nan)
-        self._any_still = False
+        self._any_still = self._any_struck = False
 
     def frozen(self, time_s: float, readings: Array) -> bool:
         """Note a scan of platen and panel channels (B + K); return whether the whole logger stands still."""
@@ -218,10 +219,16 @@ class Stillness:
         self._any_still = time_s - oldest > FROZEN_S
         return bool(len(readings) >= FEWEST_CHANNELS and time_s - newest > FROZEN_S)
 
-    @property
-    def struck_out(self) -> np.ndarray:
-        """Faces that stood still where they should have moved, and have not moved since (M)."""
-        return np.asarray(self._silenced == self._changes.since_face)
+    def unread(self, *, frozen: bool) -> Flags | None:
+        """Return which platen and panel channels only repeat themselves (B + K), None where none is known to.
+
+        `frozen` says that the whole logger stands still, so that all do. Else those do of a face that stood still
+        where it should have moved, and has not moved since.
+        """
+        if not frozen and not self._any_struck:
+            return None
+        struck = np.append(self._silenced == self._changes.since_face, [False])  # for platens, which are no face
+        return np.asarray(struck[self._changes.place]) | frozen
 
     def silence(self, scans: ScanArrays, *, frozen: bool) -> bool:
         """Strike out the scans of faces that stand still where they should move; return whether any are new.
@@ -237,6 +244,6 @@ class Stillness:
             known = self._silenced[face] == since
             if known or frozen or scans.expected_move(face, since) > FROZEN_K:
                 scans.silence(face, since)
-                self._silenced[face] = since
+                self._silenced[face], self._any_struck = since, True
                 new = new or not known
         return new

@@ -185,10 +185,8 @@ class LiveSensor:
         measured = (*run.setup.platens, *run.setup.columns)
         readings = np.array([values.get(c, math.nan) for c in measured])
         frozen = run.still.frozen(time_s, readings)
-        unread = frozen | np.concatenate(
-            [np.zeros(len(run.setup.platens), bool), run.still.struck_out[run.setup.place]]
-        )
-        if unread.any():
+        unread = run.still.unread(frozen=frozen)
+        if unread is not None:
             values = dict(values) | dict.fromkeys(np.array(measured)[unread].tolist(), math.nan)
             readings[unread] = math.nan
         moments = run.press.detect(time_s, values)
