@@ -97,7 +97,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         )
     with working(say("terminal-progress-writing")):
         ahead = list(_ahead(described, found))
-    for line in (*_lines(found, law=options.law), *ahead):
+    for line in (*_lines(found), *ahead):
         write_line(line)
     rehearsal = None
     try:
@@ -165,7 +165,7 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
     begin = say("rehearsal-begins", campaigns=len(plan.tasks), done=len(plan.done), runs=len(plan.campaign.runs))
     write_line(begin)
     if plan.tasks and not dask:
-        minutes = max(1.0, round(plan.minutes(found.seconds - found.law_seconds, workers)))
+        minutes = max(1.0, round(plan.minutes(found.seconds - (found.law_seconds or 0.0), workers)))
         write_line(say("rehearsal-takes", minutes=minutes, workers=workers))
     with working(say("terminal-progress-rehearsing", campaigns=total), total) as done:
         done(len(plan.done))
@@ -204,7 +204,7 @@ def _ahead(press: Press, found: Diagnosis) -> Iterator[str]:
         yield f"  {in_words(point_message(advice.point))}. {in_words(best_message(advice))}"
 
 
-def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
+def _lines(found: Diagnosis) -> Iterator[str]:
     from softsensor.diagnosis.summary import (
         core_messages,
         law_messages,
@@ -230,8 +230,6 @@ def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
     if found.where:
         yield in_words(*where_message(found))
     yield from map(in_words, law_messages(found))
-    if law and found.law is None:
-        yield in_words(say("law-none"))
     yield in_words(*core_messages(found))
     yield in_words(say("diagnosed-next", sentence=found.next_measurement))
     yield from map(in_words, found.warnings)

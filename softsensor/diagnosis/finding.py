@@ -123,8 +123,8 @@ class Diagnosis:
     """What is to be known of it."""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
-    law_seconds: float = 0.0
-    """How long it took to look for that. [s]"""
+    law_seconds: float | None = None
+    """How long it took to look for that, None where nobody did. [s]"""
 
     def __repr__(self) -> str:
         """Return on one screen the verdict, the causes named and suspected, and the residual. [K]"""

@@ -131,10 +131,10 @@ def _fall(found: Diagnosis, causes: int) -> tuple[Message, ...]:
 
 
 def law_messages(found: Diagnosis) -> tuple[Message, ...]:
-    """Say what is missing as a free function; nothing where there is no law."""
+    """Say what is missing as a free function, or that none is; nothing where nobody looked for one."""
     law = found.law
     if law is None:
-        return ()
+        return () if found.law_seconds is None else (say("law-none"),)
     x, value = law.curve[:, 0], law.curve[:, 1]
     law_found = say(
         "law-found",
@@ -171,7 +171,7 @@ def core_messages(found: Diagnosis) -> tuple[Message, ...]:
         return (say("core-no-panel"),)
     if len(found.stages) < 2:
         known = say("core-not-proven") if before is None else say("core-off", kelvin=before)
-        return say("core-unchanged"), known
+        return (known,) if found.law is not None else (say("core-unchanged"), known)
     cost = core_cost(found.stages[0], found.final)
     opens = _opens(found.final)
     messages = [say("core-shift", at=_moment(opens), **_shift(cost.kelvin), sd=cost.kelvin_sd)]

@@ -134,12 +134,12 @@ def diagnose(
     stages, rounds = search_all(base, effects, report, cool_rim(readings.rim))
     report("what is left", 0.9)
     found = _conclude(readings, stages, rounds)
-    settled = time.perf_counter()
     if law or (law is None and found.verdict is Verdict.UNKNOWN_EFFECT):
         report("law", 0.95)
+        settled = time.perf_counter()
         found = replace(found, law=free_law(found.final))
-    ended = time.perf_counter()
-    return replace(found, seconds=round(ended - began, 3), law_seconds=round(ended - settled, 3))
+        found = replace(found, law_seconds=round(time.perf_counter() - settled, 3))
+    return replace(found, seconds=round(time.perf_counter() - began, 3))
 
 
 @dataclass(frozen=True)

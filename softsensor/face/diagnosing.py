@@ -15,7 +15,7 @@ from daq.records import with_frozen_fields
 from daq.words import say
 from daq.words.message import chosen
 from softsensor.diagnosis.finding import Diagnosis
-from softsensor.diagnosis.summary import verdict_messages
+from softsensor.diagnosis.summary import law_messages, verdict_messages
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.face.inputs import read_press, runs_of
 from softsensor.face.showing import WIDTH, head_html, lines_html, printed, shown, table_html, table_text
@@ -81,7 +81,7 @@ class DiagnosisResult:
         return json.dumps(self.content)
 
     def __repr__(self) -> str:
-        """Show verdict, causes, error before and after, what to measure next, and what is to be known besides."""
+        """Show verdict, causes, error before and after, a free law, what to measure next, and notes."""
         head, *rest = self._lines()
         table = [table_text(self.frame(), "%.4g", rows=12)] if len(self.frame()) else []
         return printed([[line] for line in rest], above="\n".join([fill(head, WIDTH), *table]))
@@ -95,7 +95,8 @@ class DiagnosisResult:
         found = self.diagnosis
         residual = say("diagnosed-residual", base=found.base.rmse_K, extended=found.extended.rmse_K)
         verdict = " ".join(map(str, verdict_messages(found)))
-        return [f"{self.verdict}: {verdict}", *map(str, (residual, found.next_measurement, *found.warnings))]
+        rest = (residual, *law_messages(found), found.next_measurement, *found.warnings)
+        return [f"{self.verdict}: {verdict}", *map(str, rest)]
 
 
 def diagnose(
@@ -103,6 +104,7 @@ def diagnose(
     press: AnyPress,
     *,
     effects: str | Sequence[str] | None = None,
+    law: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> DiagnosisResult:
     r"""Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
@@ -125,6 +127,9 @@ def diagnose(
         One run or several, as files, tables or `Run`. [°C, s]
     effects
         Cause or causes to look for, by name; the whole catalogue without.
+    law
+        Look for what is missing as a free function, also where a cause is named; where the verdict is
+        ``unknown_effect`` this is done anyway.
     progress
         Called with what is being done and the share done, from 0 to 1.
 
@@ -150,4 +155,5 @@ def diagnose(
     """
     described = read_press(press)
     wanted = None if effects is None else names_of(effects)
-    return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), progress, wanted))
+    found = diagnose_runs(described, runs_of(runs, described), progress, wanted, law=True if law else None)
+    return DiagnosisResult(found)

@@ -36,6 +36,10 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.words import say
+from softsensor.diagnosis.gains import Gain
+from softsensor.diagnosis.laws.choice import Law
+from softsensor.diagnosis.summary import core_messages, law_messages
+from softsensor.effects.effect import LawOf
 from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
@@ -928,6 +932,26 @@ def test_what_is_to_be_known_of_a_diagnosis_stands_in_what_it_prints_and_in_the_
     for view in (repr(found), found._repr_html_()):
         assert [one for one in found.diagnosis.warnings if words_of(str(one)) not in words_of(view)] == []
     assert rows_of(repr(found)) <= ROWS
+
+
+def test_a_free_law_is_looked_for_on_demand_and_stands_in_what_a_diagnosis_prints():
+    plain = softsensor.diagnose(SAMPLES[4:6], LAB, effects="edge_loss")
+    asked = softsensor.diagnose(SAMPLES[4:6], LAB, effects="edge_loss", law=True)
+    for view in (repr, lambda found: found._repr_html_()):
+        assert "No free law" not in view(plain)
+        assert "No free law" in view(asked)
+    curve = np.stack([np.linspace(0.0, 30.0, 5), *[np.linspace(0.5, 1.0, 5)] * 3], axis=1)
+    fields = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact",), None)
+    law = Law(*fields, stage=asked.diagnosis.final, kept={})
+    found = softsensor.DiagnosisResult(replace(asked.diagnosis, law=law))
+    assert found.content["law"]["heldout_gain_K"] == 0.8
+    for view in (repr(found), found._repr_html_()):
+        for line in law_messages(found.diagnosis):
+            assert words_of(str(line)) in words_of(view)
+    assert rows_of(repr(found)) <= ROWS
+    said = [str(one) for one in core_messages(found.diagnosis)]
+    assert said
+    assert not any("stays as it is" in one for one in said)  # the model file holds the law
 
 
 def test_a_prediction_with_a_resin_and_a_long_reason_prints_on_one_screen():

@@ -355,7 +355,7 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     content = one.as_json()
     assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
     assert all(len(row) == 4 for row in content["curve"])
-    assert law_messages(cast(Diagnosis, SimpleNamespace(law=None))) == ()
+    assert law_messages(cast(Diagnosis, SimpleNamespace(law=None, law_seconds=None))) == ()
 
 
 @pytest.mark.parametrize("side", [LawOf.CONTACT_LOWER, LawOf.CONTACT_UPPER])
