@@ -8,13 +8,14 @@ file. What the numbers mean in an equation stands in `softsensor.opening.kinetic
 from __future__ import annotations
 
 import itertools
+import math
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
 
 from daq.press.press_file import Number, Positive, Share, Table, Yes, with_sd
-from daq.records import COLDEST_C, HOTTEST_C, InputError
+from daq.records import COLDEST_C, GAS_CONSTANT, HOTTEST_C, InputError
 from daq.tables import at, explained, read_toml, reason_of, text_in
 from daq.words import say, spoken
 
@@ -26,6 +27,7 @@ Energy = Annotated[Number, Field(gt=5.0, lt=1000.0)]
 """[kJ/mol] Below is no reaction (diffusion in water: 18), above no bond (C≡O: 1077)."""
 Rate = Annotated[Number, Field(gt=1e-12, lt=1e6)]
 """[1/s]"""
+_RATE = TypeAdapter(Rate)
 _Temperature = Annotated[Number, Field(gt=COLDEST_C, lt=HOTTEST_C)]
 
 
@@ -47,6 +49,16 @@ class _Law(Table):
     reference_temperature_C: _Temperature = REFERENCE_C  # noqa: N815
     """Where rates hold. Errors of rate and activation energy are taken as independent there."""
 
+    def _check_rate(self, key: str, log_prefactor: float, energy_kJ_mol: float) -> None:  # noqa: N803
+        """Refuse a law whose rate at the reference temperature no `Rate` is. Raises `ValueError`."""
+        kelvin = self.reference_temperature_C - COLDEST_C
+        log_rate = log_prefactor - 1e3 * energy_kJ_mol / (GAS_CONSTANT * kelvin)
+        try:
+            _RATE.validate_python(math.exp(log_rate))
+        except (ValidationError, OverflowError):
+            power, at_C = log_rate * math.log10(math.e), self.reference_temperature_C  # noqa: N806
+            raise ValueError(say("resin-rate-impossible", key=key, power=power, at_C=at_C)) from None
+
 
 class OrderLaw(_Law):
     """``[order]``: dα/dt = k (1 - α)^order."""
@@ -63,6 +75,8 @@ class OrderLaw(_Law):
         if (self.rate_per_s is None) == (self.prefactor_per_s is None):
             raise ValueError(say("resin-one-rate"))
         _only(self, ("rate_per_s", "prefactor_per_s", "activation_energy_kJ_mol"))
+        if self.prefactor_per_s is not None:
+            self._check_rate("prefactor_per_s", math.log(self.prefactor_per_s), self.activation_energy_kJ_mol)
         return self
 
 
@@ -105,8 +119,10 @@ class IsoconversionalLaw(_Law):
         return rows
 
     @model_validator(mode="after")
-    def _no_other_sd(self) -> IsoconversionalLaw:
+    def _possible(self) -> IsoconversionalLaw:
         _only(self, ())
+        for i, (_, energy, log_prefactor) in enumerate(self.table):
+            self._check_rate(f"table.{i}", log_prefactor, energy)
         return self
 
 

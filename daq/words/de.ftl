@@ -353,6 +353,7 @@ quality-unknown = { $text }: { $quality } ist keine Qualität; es gibt { $known 
 resin-limits-exclude = core_least_C = { $least } und core_most_C = { $most } schließen einander aus, die Presse öffnete nie; core_least_C kleiner als core_most_C wählen
 resin-one-law = genau eine der Tabellen [order], [kamal] und [isoconversional] muss gegeben sein; die gemessene behalten
 resin-one-rate = genau einer der Schlüssel rate_per_s (bei reference_temperature_C) und prefactor_per_s muss gegeben sein; den anderen weglassen
+resin-rate-impossible = { $key }: mit der Aktivierungsenergie ist die Geschwindigkeit bei { NUMBER($at_C, maximumFractionDigits: 1) } °C 10^{ NUMBER($power, maximumFractionDigits: 1) } 1/s; sie muss zwischen 1e-12 und 1e6 1/s liegen. Prüfen, ob A in 1/s gegeben ist, Logarithmen natürliche sind und Energien in kJ/mol stehen
 resin-sd-unused = { $key }.sd: nichts verwendet sie; den Schlüssel weglassen. Es zählen die sd von Geschwindigkeiten, Aktivierungsenergien und steam_most_kPa
 resin-table-not-rising = braucht mindestens zwei Zeilen aus Umsatz, Aktivierungsenergie und ln(A f), der Umsatz steigend zwischen 0 und 1
 run-archive-former = eine Messung, die eine frühe Version archiviert hat; sie ist nur über ihre Datenbank lesbar

@@ -353,6 +353,7 @@ quality-unknown = { $text }: { $quality } is no quality; they are { $known }
 resin-limits-exclude = core_least_C = { $least } and core_most_C = { $most } exclude each other, so that the press would never open; set core_least_C below core_most_C
 resin-one-law = exactly one of the tables [order], [kamal] and [isoconversional] must be given; keep the one that was measured
 resin-one-rate = exactly one of rate_per_s (at reference_temperature_C) and prefactor_per_s must be given; leave the other out
+resin-rate-impossible = { $key }: with its activation energy the rate at { NUMBER($at_C, maximumFractionDigits: 1) } °C is 10^{ NUMBER($power, maximumFractionDigits: 1) } 1/s; it must lie between 1e-12 and 1e6 1/s. Check that A is in 1/s, that logarithms are natural ones, and energies in kJ/mol
 resin-sd-unused = { $key }.sd: nothing uses it; leave it out. The sd of rates, of activation energies and of steam_most_kPa count
 resin-table-not-rising = needs at least two rows of conversion, activation energy and ln(A f), the conversions rising between 0 and 1
 run-archive-former = a run that an early version archived; it can be read through its store only

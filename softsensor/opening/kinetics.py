@@ -75,8 +75,11 @@ class Kinetics:
         return np.asarray(np.where(log_x < self.log_time[0], inside * np.exp(log_x - self.log_time[0]), inside))
 
     def equivalent_s(self, cure: float) -> float:
-        """Return the time at the reference temperature that cures so far, 0 < `cure` < 1. [s]"""
-        return float(np.exp(np.interp(math.log(cure / (1.0 - cure)), self.logit, self.log_time)))
+        """Return the time at the reference temperature that cures so far, 0 < `cure` < 1. [s]
+
+        Infinite beyond what is laid out: nobody knows when so much is cured, and no shorter time will do.
+        """
+        return float(np.exp(np.interp(math.log(cure / (1.0 - cure)), self.logit, self.log_time, right=math.inf)))
 
     def pace(self, equivalent_s: Array, temperature_C: Array, errors: Array | None = None) -> Array:
         """Return dx/dt (any shape).

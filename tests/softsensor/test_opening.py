@@ -281,6 +281,8 @@ def test_examples_say_that_they_are_examples_and_where_from(file):
         ),
         (("order]", "ordr]"), "did you mean order"),
         (("rate_per_s = 0.05\n", "rate_per_s = 0.05\norder = 1.5\norder.sd = 0.1\n"), "order.sd"),
+        (("rate_per_s = 0.05\n", "prefactor_per_s = 1e40\n"), "order: prefactor_per_s: with its activation"),
+        (("rate_per_s = 0.05\n", "prefactor_per_s = 1e-9\n"), "must lie between 1e-12 and 1e6 1/s"),
         (("[order]", "[kamal]\nrate_1_per_s = 1.0\n[order]"), "kamal"),
     ],
 )
@@ -291,6 +293,25 @@ def test_a_resin_file_is_refused_with_key_and_limit(change, expected):
         parse_resin(text.replace(*change), "own.toml")
     assert str(error.value).startswith("own.toml: ")
     assert expected in str(error.value)
+
+
+@pytest.mark.parametrize(("log_prefactor", "power"), [(900.0, "10^380.8"), (-900.0, "10^-401")])
+def test_a_table_of_ones_own_dsc_with_a_rate_that_cannot_be_is_refused(log_prefactor, power):
+    rows = f"[[0.1, 80.0, 20.0], [0.9, 80.0, {log_prefactor}]]"
+    text = f'[resin]\nname = "x"\nsource = "y"\n[isoconversional]\ntable = {rows}\n'
+    with pytest.raises(InputError) as error:
+        parse_resin(text, "own.toml")
+    assert str(error.value).startswith(
+        "own.toml: isoconversional: table.1: with its activation energy the rate at"
+    )
+    assert power in str(error.value)
+
+
+def test_cure_beyond_what_a_law_lays_out_is_never_reached():
+    """At 140 °C 0.05 1/s cures all but e^-t/20 s: 1 - 1e-9 takes 414 s, and no answer may come sooner."""
+    law = kinetics_of(OrderLaw(rate_per_s=0.05, activation_energy_kJ_mol=80.0))
+    assert law.equivalent_s(1.0 - 1e-6) == pytest.approx(-np.log(1e-6) / 0.05, rel=1e-3)
+    assert not law.equivalent_s(1.0 - 1e-9) < -np.log(1e-9) / 0.05
 
 
 def test_limits_of_the_core_that_exclude_each_other_are_refused():
