@@ -39,7 +39,8 @@ class PlanResult:
         """Return one row an open point and pressing: its settings, chance to settle it, and runs needed.
 
         ``worth_nats`` is by what pressings are compared. What is left of a half interval afterwards stands under
-        ``half_share`` of a coefficient [share of its value] and under ``half_K`` of the core [K]; NaN elsewhere.
+        ``half_share`` of a coefficient [of its logarithm: exp of it is the factor either way] and under ``half_K``
+        of the core [K]; NaN elsewhere.
         """
         import pandas as pd
 

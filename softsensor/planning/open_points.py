@@ -54,7 +54,7 @@ class Prospect:
     runs: int | None
     """How many settle it, with `WANTED_CHANCE` where chance comes in; None: more than `MANY`, or never."""
     half_after: float | None = None
-    """Half interval after one, of a coefficient as a share, of the core in K."""
+    """Half interval after one, of a coefficient's logarithm, of the core in K."""
 
     __repr__ = on_screen
 
@@ -115,7 +115,7 @@ class OpenPoint:
 
     @property
     def half_now(self) -> float | None:
-        """Half of the 95 % interval now; of a coefficient as a share, of the core in K."""
+        """Half of the 95 % interval now; of a coefficient's logarithm, of the core in K."""
         return None if self.along is None else self._half(pseudo_inverse(self.contenders[0].before))
 
     def _half(self, covariance: Array) -> float:

@@ -37,8 +37,8 @@ def standing_messages(found: PressingPlan) -> Iterator[Message]:
 def point_message(point: OpenPoint) -> Message:
     """Say what is open."""
     if point.kind is PointKind.COEFFICIENT:
-        now, wanted = 100.0 * (point.half_now or 0.0), 100.0 * point.wanted
-        return say("plan-open-coefficient", name=point.name, percent=now, wanted=wanted)
+        now, wanted = math.exp(point.half_now or 0.0), math.exp(point.wanted)
+        return say("plan-open-coefficient", name=point.name, factor=now, wanted=wanted)
     if point.kind is PointKind.CORE_BAND:
         return say("plan-open-core", kelvin=point.half_now or 0.0, wanted=point.wanted)
     causes = tuple(called(name) for name in point.names if name != NOTHING)
@@ -78,7 +78,7 @@ def prospect_message(prospect: Prospect, kind: PointKind) -> Message:
         return say("plan-settles", percent=percent, runs=runs) if percent < 100 else say("plan-settles-surely")
     half = prospect.half_after or 0.0
     if kind is PointKind.COEFFICIENT:
-        return say("plan-narrows-share", percent=100.0 * half, runs=runs)
+        return say("plan-narrows-factor", factor=math.exp(half), runs=runs)
     return say("plan-narrows-kelvin", kelvin=half, runs=runs)
 
 

@@ -21,7 +21,7 @@ from daq.simulated.physics import solve
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.diagnosis.decision import SURE_T, Verdict, beyond_chance
 from softsensor.diagnosis.extension import fit_campaign_model
-from softsensor.diagnosis.extension_unknowns import lay_out
+from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of
 from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
@@ -33,10 +33,10 @@ from softsensor.planning.information import (
     further_runs,
     runs_needed,
 )
-from softsensor.planning.open_points import OpenPoint, PointKind, contender
+from softsensor.planning.open_points import OpenPoint, PointKind, contender, open_numbers
 from softsensor.planning.plan import plan
 from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
-from softsensor.planning.summary import plan_messages
+from softsensor.planning.summary import plan_messages, point_message
 from softsensor.signals.digest import digest_run
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.moments import moments_seen
@@ -281,6 +281,22 @@ def test_a_setting_that_one_run_does_not_state_is_planned_as_the_others_have_it(
         planned = plan(press(), found, {"pressure_N_cm2": (100.0, 200.0)})
         assert planned.points
         assert all(100.0 <= advice.best.settings["pressure_N_cm2"] <= 200.0 for advice in planned.points)
+
+
+def test_a_coefficient_is_said_to_be_known_to_the_factor_that_its_interval_ends_at() -> None:
+    """The interval is of the logarithm: half of it is 0.97 from value / 2.64 to value x 2.64."""
+    past = [design_point_of(press(), d.digest, stage().fit) for d in stage().data]
+    for point in open_numbers(stage(), past, ()):
+        if point.kind is PointKind.COEFFICIENT:
+            half = point.half_now
+            assert half is not None
+            at = stage().fit.layout.names.index(logarithm_of(point.name))
+            sd = float(np.sqrt(np.linalg.inv(point.contenders[0].before)[at, at]))
+            line = str(point_message(point))
+            assert f"a factor of {np.exp(1.96 * sd):.2f}"[:-1] in line
+            assert "(wanted: 1.35)" in line
+            return
+    pytest.fail("three runs know every coefficient")
 
 
 def test_a_model_that_does_not_describe_the_runs_forecasts_no_pressing() -> None:
