@@ -90,7 +90,8 @@ class PressSettings(_Table):
     file: Path
     """The press file."""
     resin: Path | None = None
-    """The resin file: how the paper cures, and what must hold at opening. None: nobody asks."""
+    """The resin file: how the paper cures, and what must hold at opening; taken as it stands when a pressing
+    begins. None: nobody asks."""
     sisters: bool = True
     """Whether the press begins, while it has no model, with what presses of the same kind in the store know."""
     rate_hz: Annotated[float, Field(ge=0.5, le=20)] = 10.0

@@ -1384,6 +1384,7 @@ sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Akt
 sense-following = folgt { $presses }
 sense-follows-run = folgt Pressung { $run }
 sense-model-not-taken = der Softsensor kann das geltende Modell nicht übernehmen und arbeitet mit { $version } weiter: { $why }
+sense-resin-not-taken = die Harzdatei ist so nicht lesbar, Aushärtung, Dampf und Freigabe gehen nach dem, was vorher darin stand: { $why }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen
 

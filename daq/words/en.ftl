@@ -1368,6 +1368,7 @@ sense-compiling = compiling the model, once after an installation or an update: 
 sense-following = following { $presses }
 sense-follows-run = following run { $run }
 sense-model-not-taken = the live sensor cannot take the model in force and goes on with { $version }: { $why }
+sense-resin-not-taken = the resin file as it stands cannot be read, so its last readable content still decides on cure, steam and leave to open: { $why }
 sense-takes-model = the live sensor takes model { $version }
 sense-waiting = waiting for scans
 

@@ -367,6 +367,8 @@ class Follower:
         before = self.live
         same = before is not None and before.record.header == record.header
         fitted = before is not None and before.record.run == record.run and before.fitted_open
+        if before is None or before.record.run != record.run:
+            self._read_resin()
         sensor = LiveSensor(self.press, record.header, self.model.file, self.resin)
         self.live = _Live(record, sensor, version, fitted)
         self.refused = None
@@ -378,6 +380,13 @@ class Follower:
             self.live = None  # to begin again from the first scan, not in the middle
             raise
         self.message = say("sense-follows-run", run=record.run)
+
+    def _read_resin(self) -> None:
+        """Take the resin file as it stands when a pressing begins; one that cannot be read changes nothing."""
+        try:
+            self.resin = _resin_of(self.settings) or self.resin
+        except InputError as error:
+            self._pending.add(("alarm", say("sense-resin-not-taken", why=spoken(error))))
 
     def _catch_up(self, record: RunRecord, *, estimated_before: bool) -> None:
         """Give the sensor the run's scans so far."""

@@ -247,6 +247,26 @@ def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_
     assert not estimate_now(silent, None, BEGAN, BEGAN).open_now
 
 
+def test_a_resin_file_counts_as_it_stands_when_a_pressing_begins(store, fitter, pressing, tmp_path):
+    """Limits that were made stricter hold from the next panel on; a file half written leaves those there were."""
+    file, sense = tmp_path / "resin.toml", follower(store, fitter)
+    law = '[resin]\nname = "x"\nsource = "test"\n[order]\nrate_per_s = 0.05\nactivation_energy_kJ_mol = 85.0\n'
+    sense.settings = sense.settings.model_copy(update={"resin": file})
+    taken = []
+    for limit in ("0.3", "0.9", "90.0"):
+        file.write_text(f"{law}[limits]\ncure_least = {limit}\n", encoding="utf-8")
+        recorder = Recorder(store, pressing[0], {k: v for k, v in pressing[0].header.items() if k != "run"})
+        while not recorder.finished:
+            recorder.put(40)
+            drain(sense)
+            file.write_text(f"{law}[limits]\ncure_least = 0.5\n", encoding="utf-8")  # amid a pressing
+            taken += [sense.resin.limits.cure_least] if sense.live is not None else []
+            file.write_text(f"{law}[limits]\ncure_least = {limit}\n", encoding="utf-8")
+    assert list(dict.fromkeys(taken)) == [0.3, 0.9]
+    told = [str(entry.message) for entry in store.journal(level="alarm").items]
+    assert any("cure_least = 90" in text and "last readable content" in text for text in told)
+
+
 def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
     run, _ = pressing
     wrong = {"panel.initial_temperature_C": run.header["panel.initial_temperature_C"] + 20.0}
