@@ -1139,6 +1139,13 @@ law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimu
 law-ends = { $low } = { NUMBER($least, maximumSignificantDigits: 6) } muss unter { $high } = { NUMBER($most, maximumSignificantDigits: 6) } liegen
 law-found = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-heading = Was fehlt, ohne Namen
+law-heat = Zwischen { NUMBER($begin, maximumFractionDigits: 0) } und { NUMBER($end, maximumFractionDigits: 0) } °C { $change ->
+    [goes] verschwindet
+   *[comes] entsteht
+} Wärme, { NUMBER($amount, maximumSignificantDigits: 2) } kJ je kg Platte (95 %: { NUMBER($least, maximumSignificantDigits: 2) } bis { NUMBER($most, maximumSignificantDigits: 2) }){ $change ->
+    [goes] : Verdampfung oder ein Phasenübergang täte das.
+   *[comes] : eine Reaktion täte das.
+}
 law-kind-conductivity = Faktor auf die Wärmeleitfähigkeit der Platte
 law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
 law-kind-contact_by_load = Faktor auf die geschlossenen Kontakte der Platte, wenn sich der Druck ändert

@@ -1122,6 +1122,13 @@ law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumF
 law-ends = { $low } = { NUMBER($least, maximumSignificantDigits: 6) } must lie below { $high } = { NUMBER($most, maximumSignificantDigits: 6) }
 law-found = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-heading = What is missing, without a name
+law-heat = Between { NUMBER($begin, maximumFractionDigits: 0) } and { NUMBER($end, maximumFractionDigits: 0) } °C heat { $change ->
+    [goes] disappears
+   *[comes] appears
+}, { NUMBER($amount, maximumSignificantDigits: 2) } kJ/kg of panel (95 %: { NUMBER($least, maximumSignificantDigits: 2) } to { NUMBER($most, maximumSignificantDigits: 2) }){ $change ->
+    [goes] : evaporation or a phase change would do this.
+   *[comes] : a reaction would do this.
+}
 law-kind-conductivity = factor on the conductivity of the panel
 law-kind-contact = factor on the closed contacts of the panel
 law-kind-contact_by_load = factor on the panel's closed contacts as the pressure changes

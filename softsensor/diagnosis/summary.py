@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.press.header import panel_of
 from daq.records import Array
 from daq.words import Argument, Message, say
 from daq.words.message import words
@@ -19,9 +20,11 @@ from softsensor.diagnosis.decision import EXCESS, FEW_RUNS, Remains, Verdict, pa
 from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import HARDLY
+from softsensor.diagnosis.laws.choice import Law
 from softsensor.diagnosis.settling import SettledModel
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
+from softsensor.effects.effect import LawOf
 from softsensor.effects.vocabulary import called, coefficient_words, place_words
 
 FAR_OFF = 2.0
@@ -152,7 +155,7 @@ def law_messages(found: Diagnosis) -> tuple[Message, ...]:
     alike = (say("law-alike", others=others),) if others else ()
     known = (say("law-resembles", cause=called(law.resembles)),) if law.resembles else ()
     kelvin = core_cost(found.final, law.stage).kelvin
-    changes = (_law_changes(x, value),) if law.unit == "-" else ()
+    changes = (_law_changes(x, value),) if law.unit == "-" else _heat_gone(law)
     return (law_found, *changes, say("law-core", **_shift(kelvin)), *alike, *known)
 
 
@@ -162,6 +165,27 @@ def _law_changes(x: Array, value: Array) -> Message:
     percent = 100.0 * (float(value[last] / value[first]) - 1.0)
     change = "falls" if percent < 0.0 else "rises"
     return say("law-changes", begin=float(x[first]), end=float(x[last]), percent=abs(percent), change=change)
+
+
+def _heat_gone(law: Law) -> tuple[Message, ...]:
+    """Say how much heat surely goes, or comes, and between which temperatures; nothing of other kinds."""
+    if law.kind is not LawOf.HEAT:
+        return ()
+    x, _, low, high = law.curve.T
+    peak = int(np.argmax(np.maximum(low, -high)))
+    sure = (low > 0.0) if low[peak] > 0.0 else (high < 0.0)
+    if not sure[peak]:
+        return ()
+    unsure = np.flatnonzero(~sure)
+    begin = int(np.max(unsure[unsure < peak], initial=-1)) + 1
+    end = int(np.min(unsure[unsure > peak], initial=len(x)))
+    density = float(np.mean([panel_of(d.digest.run).density for d in law.stage.data]))
+    within = law.curve[begin:end]
+    amount, *ends = (float(np.trapezoid(y, within[:, 0])) / density for y in within.T[1:])
+    least, most = sorted(map(abs, ends))
+    change = "goes" if amount > 0.0 else "comes"
+    heat: dict[str, Argument] = {"amount": abs(amount), "least": least, "most": most, "change": change}
+    return (say("law-heat", begin=float(x[begin]), end=float(x[end - 1]), **heat),)
 
 
 def core_messages(found: Diagnosis) -> tuple[Message, ...]:

@@ -358,6 +358,35 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     assert law_messages(cast(Diagnosis, SimpleNamespace(law=None, law_seconds=None))) == ()
 
 
+@pytest.mark.parametrize(
+    ("sign", "language", "part"),
+    [
+        (1.0, "en", "Between 60 and 100 °C heat disappears, {} kJ/kg of panel (95 %: {} to {}): evaporation"),
+        (-1.0, "de", "Zwischen 60 und 100 °C entsteht Wärme, {} kJ je kg Platte (95 %: {} bis {}): eine Reaktion"),
+    ],
+)
+def test_what_a_law_of_heat_takes_is_said_by_mass_where_it_is_sure(sign, language, part):
+    """A rectangle of 100 kJ/m³K over 40 K takes 4 MJ/m³, whatever lies beside it that may be nothing."""
+    stage = settled("nothing")
+    x = np.linspace(40.0, 160.0, 25)
+    sure = (x >= 60.0) & (x <= 100.0)
+    middle = sign * np.where(sure, 100.0, 10.0)
+    curve = np.stack([x, middle, middle - np.where(sure, 20.0, 30.0), middle + np.where(sure, 20.0, 30.0)], axis=1)
+    density = np.mean([white.digest.run.header["panel.density_kg_m3"] for white in stage.data])
+    fields = (LawOf.HEAT, "temperature_C", "kJ/m3K", curve, Gain(0.8, (0.5, 1.0)), ("heat",), None)
+    law_found = Law(*fields, stage=stage, kept={})
+    found = SimpleNamespace(law=law_found, final=stage, extended=SimpleNamespace(heldout_rmse_K=1.2))
+    lines = [words(m, language) for m in law_messages(cast(Diagnosis, found))]
+    amounts = [
+        f"{40.0 * value / density:.2g}".replace(".", "," if language == "de" else ".")
+        for value in (100.0, 80.0, 120.0)
+    ]
+    assert any(line.startswith(part.format(*amounts)) for line in lines)
+    unsure = replace(law_found, curve=np.stack([x, middle, middle - 200.0, middle + 200.0], axis=1))
+    found = SimpleNamespace(law=unsure, final=stage, extended=SimpleNamespace(heldout_rmse_K=1.2))
+    assert len(law_messages(cast(Diagnosis, found))) == len(lines) - 1
+
+
 @pytest.mark.parametrize("side", [LawOf.CONTACT_LOWER, LawOf.CONTACT_UPPER])
 def test_a_flat_law_of_one_contact_is_an_asymmetry_and_a_brief_one_is_not(side):
     x = np.linspace(0.0, 30.0, 33)
