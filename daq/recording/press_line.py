@@ -191,7 +191,7 @@ class PressLine:
         ]
         channels = _channels(threads, self._detector.wires)
         if channels != self._key.channels:
-            self._key = replace(self._key, layout_id=0, channels=channels)
+            self._key = replace(self._key, channels=channels)
             self._outbox.expect(channels, self.settings.name, self._press_file)
         self._keeper.change(change.rules, _panel_places(change.press, channels))
         self._scanner.change(threads, self._period_s, self._stop)

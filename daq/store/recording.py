@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -78,8 +79,31 @@ def layout_of(connection: Connection, press_id: int, press: str, channels: Seque
     return layout_id
 
 
+def with_layouts(connection: Connection, keys: Iterable[PressKey]) -> dict[PressKey, PressKey]:
+    """Return keys by themselves with the layouts their channels have in the store now, made where they lack.
+
+    A store that went back to an older state may lack a layout, or have given its number to another press.
+    """
+    asked = dict.fromkeys(keys)
+    ids = {key.press_id for key in asked}
+    newest = select(func.max(LAYOUT.c.layout_id), LAYOUT.c.press_id, LAYOUT.c.columns_json)
+    grouped = newest.where(LAYOUT.c.press_id.in_(ids)).group_by(LAYOUT.c.press_id, LAYOUT.c.columns_json)
+    there = {(press_id, columns): number for number, press_id, columns in connection.execute(grouped)}
+    found = {}
+    for key in asked:
+        number = there.get((key.press_id, _columns(key.channels)))
+        if number is None:
+            number = layout_of(connection, key.press_id, key.name, key.channels)
+        found[key] = replace(key, layout_id=number)
+    return found
+
+
+def _columns(channels: Sequence[Channel]) -> str:
+    return json.dumps([[c.name, c.unit] for c in channels], ensure_ascii=False)
+
+
 def _layout(connection: Connection, press_id: int, channels: Sequence[Channel], now: float) -> int:
-    columns = json.dumps([[c.name, c.unit] for c in channels], ensure_ascii=False)
+    columns = _columns(channels)
     same = select(func.max(LAYOUT.c.layout_id)).where(
         LAYOUT.c.press_id == press_id, LAYOUT.c.columns_json == columns
     )

@@ -48,7 +48,6 @@ class SessionPlacement:
 
     def __init__(self, store: Store, notes: Notes) -> None:
         self._store, self._notes = store, notes
-        self._layouts: dict[tuple[int, tuple[Channel, ...]], int] = {}
         self.press_files: dict[str, str] = {}
         """By press, for one that has to be registered again."""
 
@@ -64,7 +63,6 @@ class SessionPlacement:
             self._notes[session] = kept
         if not sessions:
             self._notes[press_id] = {"channels": None, "press_file": ""}
-        self._layouts = {known: number for known, number in self._layouts.items() if known[0] != press_id}
 
     def _is_moved(self, key: PressKey) -> bool:
         return key.press_id < 0 or key.press_id in self._notes
@@ -92,10 +90,7 @@ class SessionPlacement:
         key, shift = batch.key, 0
         if self._is_moved(key):
             place = self.place(key)
-            layout = key.layout_id if key.press_id < 0 else 0
-            key, shift = replace(key, press_id=place.press_id, layout_id=layout), place.shift
-        if key.layout_id == 0:
-            key = replace(key, layout_id=self._layout(key))
+            key, shift = replace(key, press_id=place.press_id), place.shift
         if key is batch.key:
             return batch
         begin, end = batch.begin, batch.end
@@ -106,12 +101,6 @@ class SessionPlacement:
             None if begin is None else replace(begin, first_scan=begin.first_scan + shift),
             None if end is None else _shifted(end, shift),
         )
-
-    def _layout(self, key: PressKey) -> int:
-        known = (key.press_id, key.channels)
-        if known not in self._layouts:
-            self._layouts[known] = self._store.layout_of(key.press_id, key.name, key.channels)
-        return self._layouts[known]
 
 
 def _shifted(end: RunEnd, shift: int) -> RunEnd:

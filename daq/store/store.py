@@ -115,7 +115,6 @@ class Store:
     register_press = _writes(recording.register_press)
     append_scans = _writes(recording.append)
     append_remarks = _writes(recording.append_remarks)
-    layout_of = _writes(recording.layout_of)
     interrupt_open_runs = _writes(recording.interrupt_open_runs)
     unused_run_name = _reads(recording.unused_run_name)
     import_run = _writes(recording.import_run)
@@ -134,8 +133,9 @@ class Store:
         with self.database.writing() as connection:
             self.database.check_whole(connection)
             newest = recording.newest_of(connection, (p.key for p in batches), self.label)
+            keys = recording.with_layouts(connection, (p.key for p in batches))
             for p in in_rows(batches):
-                recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
+                recording.append(connection, keys[p.key], p.scans, p.events, p.begin, p.end)
             journal.write_new(connection, lines)
         return newest
 

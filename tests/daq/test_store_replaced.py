@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import create_engine, text
 
-from daq.records import EventSource, PressEvent, PressEventKind
+from daq.records import Channel, EventSource, PressEvent, PressEventKind
 from daq.store import NewRun, RunEnd, RunStatus, open_store
 from daq.store import outbox as outbox_module
 from daq.store.outbox import Outbox
@@ -185,6 +185,41 @@ def test_a_server_that_took_over_without_the_newest_scans_is_told_with_their_num
         assert numbers(store) == [*range(20), *range(30, 40)]
     (alarm,) = told(notes)
     assert "scans 20 to 29 of press lab" in alarm
+
+
+@pytest.mark.parametrize("given_away", [False, True], ids=["gone", "given to another press"])
+def test_scans_stand_under_their_own_channels_in_a_state_without_their_layout(store_url, tmp_path, given_away):
+    more = (*CHANNELS, Channel("core_1", "C"))
+    with open_store(store_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        hall = store.register_press("hall", CHANNELS)
+        outbox, notes = started(store, tmp_path, buffered=False)
+        wider = replace(key, channels=more)
+        outbox.put(wide(wider, 0))
+        wait_until(lambda: outbox.written == 1 and outbox.waiting == 0)
+        newest = f"SELECT max(layout_id) FROM channel_layout WHERE press_id = {key.press_id}"
+        gone = f"layout_id = ({newest})"
+        given = (
+            f'UPDATE channel_layout SET press_id = {hall.press_id}, columns_json = \'[["x", "C"]]\' WHERE {gone}'
+        )
+        drop = f"DELETE FROM channel_layout WHERE {gone}"
+        address = store_url if "://" in store_url else f"sqlite:///{store_url}"
+        server(address, "DROP VIEW scan_of_lab", "DELETE FROM scan", given if given_away else drop)
+        for n in range(1, 10):
+            outbox.put(wide(wider, n))
+        wait_until(lambda: outbox.written == 10 and outbox.waiting == 0)
+        outbox.close()
+        read = store.scans_after("lab", -1, 100)
+        assert [scan.number for scan in read.scans] == list(range(1, 10))
+        assert [channel.name for channel in read.channels] == [channel.name for channel in more]
+    assert not any("report it" in alarm for alarm in told(notes))
+
+
+def wide(key, number):
+    """Return a scan of as many values as a key has channels."""
+    made = batch(key, number).scans[0]
+    each = (made.values[0],) * len(key.channels), (made.qualities[0],) * len(key.channels)
+    return WriteBatch(key, (replace(made, values=each[0], qualities=each[1]),))
 
 
 def test_a_backup_put_in_the_place_of_an_emptied_file_is_gone_on_with(tmp_path):
