@@ -29,7 +29,7 @@ from api.commands.keeping import backup
 from api.commands.planning import plan
 from api.commands.probing import probe
 from api.commands.publishing import publish
-from api.outputs import WorkFailed, in_words, speak
+from api.outputs import WorkFailed, in_words, speak, warnings_as_lines
 from daq.records import InputError
 from daq.words import Message, say, spoken
 from daq.words.message import ENGLISH, languages
@@ -111,7 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         completion_init()
     try:
         _choose_language(os.environ.get("KERNTEMP_LANGUAGE", ENGLISH))
-        status = app(args=arguments, prog_name="kerntemp", standalone_mode=False)
+        with warnings_as_lines():
+            status = app(args=arguments, prog_name="kerntemp", standalone_mode=False)
     except (InputError, _UsageError, WorkFailed) as error:
         return _complain(error, 1 if isinstance(error, WorkFailed) else 2)
     except (KeyboardInterrupt, typer.Abort):

@@ -6,6 +6,7 @@ import json
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -69,6 +70,20 @@ def write_table(heads: Sequence[Message], rows: Iterable[Sequence[str]]) -> None
 def warn(message: Message | str) -> None:
     """Write a line to standard error, with the program's name."""
     sys.stderr.write(f"kerntemp: {in_words(message)}\n")
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Write what is warned of from Python as `warn` does; Python itself would name a line of our code."""
+
+    def show(message: Warning | str, *_where: object, **_more: object) -> None:
+        from daq.given import DoubtWarning  # loads slowly, and most commands doubt nothing
+
+        warn(message.doubt if isinstance(message, DoubtWarning) else str(message))
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 class WorkFailed(Exception):

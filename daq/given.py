@@ -78,12 +78,21 @@ def keys_of(given: object, code: str) -> Mapping[str, Any]:
     return given
 
 
+class DoubtWarning(UserWarning):
+    """Something given that can be and is doubtful all the same."""
+
+    def __init__(self, doubt: Message) -> None:
+        super().__init__(str(doubt))
+        self.doubt = doubt
+        """In words of any language."""
+
+
 def warn(doubt: Message) -> None:
     """Warn of something given from Python, at the line outside our packages that gave it."""
     frame, level = inspect.currentframe(), 1
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _OURS:
         frame, level = frame.f_back, level + 1
-    warnings.warn(str(doubt), stacklevel=level)
+    warnings.warn(DoubtWarning(doubt), stacklevel=level)
 
 
 def number_of(given: object) -> float:

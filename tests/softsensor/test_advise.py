@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from math import isfinite, log
@@ -326,6 +329,18 @@ def test_a_press_that_never_opens_has_no_press_time() -> None:
     plate = parse_press('[[layer]]\nname = "panel"\nfrom_run = true\n')
     with pytest.raises(InputError, match="opens and closes"):
         made_up_run(Task(plate, model(), PANEL, 10.0, 60.0), Programme(180.0, None))
+
+
+def test_the_command_doubts_a_panel_in_the_terminals_words_and_names_no_line_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "press.toml").write_text(press_toml(), encoding="utf-8")
+    (tmp_path / "model.json").write_text(model_text(model()), encoding="utf-8")
+    command = [sys.executable, "-m", "api", "advise", "--press", "press.toml", "--model", "model.json"]
+    command += ["--core-least", "60", "--panel", "panel.material=Foo"]
+    spoken = {**os.environ, "KERNTEMP_LANGUAGE": "de", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=spoken, capture_output=True, text=True, check=False)
+    lines = done.stderr.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("kerntemp: Material 'Foo' steht nicht in der Tabelle")
 
 
 def test_the_command_writes_answer_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
