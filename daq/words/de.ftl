@@ -1137,7 +1137,7 @@ law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimu
        *[cooler] kühler
     }.
 law-ends = { $low } = { NUMBER($least, maximumSignificantDigits: 6) } muss unter { $high } = { NUMBER($most, maximumSignificantDigits: 6) } liegen
-law-found = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
+law-found = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }; 95 %: { NUMBER($least_low, maximumSignificantDigits: 3) } bis { NUMBER($least_high, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }; 95 %: { NUMBER($most_low, maximumSignificantDigits: 3) } bis { NUMBER($most_high, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-heading = Was fehlt, ohne Namen
 law-heat = Zwischen { NUMBER($begin, maximumFractionDigits: 0) } und { NUMBER($end, maximumFractionDigits: 0) } °C { $change ->
     [goes] verschwindet

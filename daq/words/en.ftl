@@ -1120,7 +1120,7 @@ law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumF
        *[cooler] cooler
     }.
 law-ends = { $low } = { NUMBER($least, maximumSignificantDigits: 6) } must lie below { $high } = { NUMBER($most, maximumSignificantDigits: 6) }
-law-found = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
+law-found = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }; 95 %: { NUMBER($least_low, maximumSignificantDigits: 3) } to { NUMBER($least_high, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }; 95 %: { NUMBER($most_low, maximumSignificantDigits: 3) } to { NUMBER($most_high, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-heading = What is missing, without a name
 law-heat = Between { NUMBER($begin, maximumFractionDigits: 0) } and { NUMBER($end, maximumFractionDigits: 0) } °C heat { $change ->
     [goes] disappears

@@ -138,15 +138,20 @@ def law_messages(found: Diagnosis) -> tuple[Message, ...]:
     law = found.law
     if law is None:
         return () if found.law_seconds is None else (say("law-none"),)
-    x, value = law.curve[:, 0], law.curve[:, 1]
+    x, value, low, high = law.curve.T
+    first, last = int(np.argmin(value)), int(np.argmax(value))
     law_found = say(
         "law-found",
         kind=say(f"law-kind-{law.kind}"),
         variable=say(f"law-variable-{law.variable}"),
-        least=float(value.min()),
-        at_least=float(x[np.argmin(value)]),
-        most=float(value.max()),
-        at_most=float(x[np.argmax(value)]),
+        least=float(value[first]),
+        least_low=float(low[first]),
+        least_high=float(high[first]),
+        at_least=float(x[first]),
+        most=float(value[last]),
+        most_low=float(low[last]),
+        most_high=float(high[last]),
+        at_most=float(x[last]),
         unit="" if law.unit == "-" else f" {law.unit.replace('m3', 'm³')}",
         gain=law.gain.value_K,
         before=found.extended.heldout_rmse_K,

@@ -344,12 +344,15 @@ def test_a_law_of_contact_that_grows_is_a_buildup():
 @pytest.mark.parametrize(("language", "part"), [("en", "time since closing"), ("de", "Zeit seit dem Schließen")])
 def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     x = np.linspace(0.0, 30.0, 33)
-    curve = np.stack([x, 1.0 - 0.5 * x / 30.0, x, x], axis=1)
+    middle = 1.0 - 0.5 * x / 30.0
+    curve = np.stack([x, middle, middle - 0.2, middle + 0.1], axis=1)
     fields = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
     one = Law(*fields, stage=settled("nothing"), kept={})
     found = SimpleNamespace(law=one, final=settled("nothing"), extended=SimpleNamespace(heldout_rmse_K=1.2))
     lines = [words(m, language) for m in law_messages(cast(Diagnosis, found))]
     assert part in lines[0]
+    assert {"en": "0.5 (at 30; 95 %: 0.3 to 0.6)", "de": "0,5 (bei 30; 95 %: 0,3 bis 0,6)"}[language] in lines[0]
+    assert {"en": "1 (at 0; 95 %: 0.8 to 1.1)", "de": "1 (bei 0; 95 %: 0,8 bis 1,1)"}[language] in lines[0]
     assert len(lines) == 4
     assert {"en": "falls by 50 % between 0 and 30", "de": "zwischen 0 und 30 um 50 %"}[language] in lines[1]
     content = one.as_json()
