@@ -60,10 +60,11 @@ def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Seque
     by_key = {alarm.key: alarm for alarm in standing}
     if known & set(by_key):
         connection.execute(update(ALARM).where(_stands(known & set(by_key))).values(seen_unix_s=at))
-    over = (ALARM.c.ended_unix_s.is_(None), ALARM.c.seen_unix_s < at - CALM_S)
+    unseen = or_(ALARM.c.seen_unix_s < at - CALM_S, ALARM.c.seen_unix_s > at + CALM_S)  # or a clock was set back
+    over = (ALARM.c.ended_unix_s.is_(None), unseen)
     connection.execute(update(ALARM).where(*over).values(ended_unix_s=ALARM.c.seen_unix_s))
     new = [_raise(connection, alarm, ways, at) for key, alarm in by_key.items() if key not in known]
-    return len(new) + _take_up_journal(connection, position, ways)
+    return len(new) + _take_up_journal(connection, position, ways, at)
 
 
 def _turn(connection: Connection) -> int:
@@ -125,13 +126,17 @@ def _raise(
     return number
 
 
-def _take_up_journal(connection: Connection, position: int, ways: Sequence[str]) -> int:
-    """Raise the journal's alarms since the last look. They are over as they are raised: a line does not stand."""
+def _take_up_journal(connection: Connection, position: int, ways: Sequence[str], now_s: float) -> int:
+    """Raise the journal's alarms since the last look. They are over as they are raised: a line does not stand.
+
+    They are due at once, whatever the clock of who wrote them showed.
+    """
     entries = journal_after(connection, position, LINES)
     alarms = [entry for entry in entries if entry.level == "alarm"]
     for entry in alarms:
         at = unix_of(entry.utc)
-        _raise(connection, StandingAlarm(f"event:{entry.number}", entry.press, entry.message), ways, at, at)
+        number = _raise(connection, StandingAlarm(f"event:{entry.number}", entry.press, entry.message), [], at, at)
+        _send(connection, number, ways, now_s)
     if entries:
         connection.execute(update(ALARM_POSITION).values(event_id=entries[-1].number))
     return len(alarms)
@@ -186,12 +191,16 @@ def acknowledge(connection: Connection, number: int, who: str) -> StoredAlarm:
 
 
 def take_delivery(connection: Connection, ways: Sequence[str], now: datetime) -> Delivery | None:
-    """Take the delivery that has waited longest in hand, None where none is due; others leave it alone so long."""
+    """Take the delivery that has waited longest in hand, None where none is due; others leave it alone so long.
+
+    None waits longer than `LONGEST_WAIT_S`: what is due later was noted by a clock that has been set back since.
+    """
     at = unix_of(now)
+    due = or_(ALARM_DELIVERY.c.due_unix_s <= at, ALARM_DELIVERY.c.due_unix_s > at + LONGEST_WAIT_S)
     query = (
         select(ALARM_DELIVERY.c.way, ALARM_DELIVERY.c.tries, ALARM)
         .join(ALARM, ALARM.c.alarm_id == ALARM_DELIVERY.c.alarm_id)
-        .where(ALARM_DELIVERY.c.delivered_unix_s.is_(None), ALARM_DELIVERY.c.due_unix_s <= at)
+        .where(ALARM_DELIVERY.c.delivered_unix_s.is_(None), due)
         .where(ALARM_DELIVERY.c.way.in_(ways))
         .order_by(ALARM_DELIVERY.c.due_unix_s, ALARM_DELIVERY.c.alarm_id)
         .limit(1)

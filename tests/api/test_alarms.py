@@ -35,6 +35,7 @@ from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store import open_store
 from daq.store.records import NewRun, StandingAlarm, StoredEstimate
+from daq.store.write_batch import Entry
 from daq.supervision import IN_USE_S
 from daq.words import say
 from tests.api.certificates import self_signed
@@ -295,6 +296,28 @@ def test_a_delivery_is_in_one_hand_at_a_time(store):
     assert (mine.tries, again.tries, again.alarm) == (1, 2, mine.alarm)
     store.delivered(again, seconds(51))
     assert store.take_delivery([MAIL], seconds(9999)) is None
+
+
+def test_a_clock_that_is_set_back_keeps_no_alarm_waiting_and_hides_none(store):
+    day_s = 86400.0
+    store.watch_alarms([HOT], [MAIL], seconds(day_s))
+    refused = store.take_delivery([MAIL], seconds(day_s))
+    store.put_off(refused, "refused", seconds(day_s))
+    again = store.take_delivery([MAIL], NOW)  # by now the clock is set back
+    assert again.alarm.number == refused.alarm.number
+    store.delivered(again, NOW)
+    assert store.watch_alarms([], [MAIL], seconds(2)) == 0
+    assert not any(alarm.ended_utc is None for alarm in store.alarms().items)
+    assert store.watch_alarms([HOT], [MAIL], seconds(60)) == 1
+
+
+@pytest.mark.parametrize("ahead_s", [300.0, 86400.0])
+def test_an_alarm_whose_clock_is_ahead_is_due_at_once(store, ahead_s):
+    store.watch_alarms([], [MAIL], NOW)
+    line = Entry("alarm", "record", say("run-fit-killed", run="a"), "lab", unix_s=seconds(ahead_s).timestamp())
+    store.write_batches([], [line])
+    assert store.watch_alarms([], [MAIL], seconds(2)) == 1
+    assert store.take_delivery([MAIL], seconds(2)).alarm.raised_utc == seconds(ahead_s)
 
 
 def test_a_receiver_that_is_gone_and_one_that_sends_elsewhere_have_not_taken_it(tmp_path, store):
