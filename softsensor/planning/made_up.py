@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Legendre
 
-from daq.press.header import panel_of
+from daq.press.header import LIMITS, panel_of
 from daq.press.press_file import Press, press_for_run
 from daq.press.resin_file import Resin, SorptionTable
 from daq.records import Array, InputError, Moments, Run
@@ -263,9 +263,11 @@ def draw(run: Run, press: Press, model: ModelFile, moments: Moments) -> Drawn:
 
 
 def _drawn(run: Run, press: Press, doubts: Mapping[str, Doubt], draws: Draws, i: int) -> Run:
-    """Return the run with its constants as one draw has them; what no matter has stays as given."""
+    """Return the run with its constants as one draw has them, within what can be; what no matter has stays."""
     for key, doubt in doubts.items():
         change = doubt.sd * float(draws.of(key)[i, 0])
+        if (limits := LIMITS.get(key)) is not None:
+            change = min(max(change, limits.lower - doubt.value), limits.upper - doubt.value)
         if key.startswith(("ambient.", "panel.initial")) or abs(change) < STILL_MATTER * abs(doubt.value):
             run = changed_run(run, press, key, change)
     return run

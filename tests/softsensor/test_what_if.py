@@ -68,6 +68,14 @@ def test_steam_of_a_run_whose_moisture_nobody_stated_is_not_known_as_it_was_not_
     assert np.isfinite(found.core.middle).all()
 
 
+@pytest.mark.parametrize("moisture", [0.0, 0.5, 200.0])
+def test_what_may_be_asked_at_its_very_limit_is_answered(pressed, moisture):
+    """Draws about it went beyond what a header may hold, and were refused in the user's name."""
+    found = what_if(pressed, {"moisture_percent": moisture})
+    assert np.isfinite(found.core.middle).all()
+    assert np.isfinite(found.steam.high).all() == (moisture > 0.0)
+
+
 def test_what_cannot_be_asked_is_refused_with_what_can(pressed):
     with pytest.raises(InputError, match=r"this run has no such setting; it has .*press_time_s.*moisture_percent"):
         what_if(pressed, {"colour": 1.0})
