@@ -55,9 +55,15 @@ def check_each_once(runs: Iterable[Run]) -> None:
 
 def new_readings(run: Run, names: Mapping[bytes, str]) -> bytes:
     """Return the digest of a run's times and readings. Raises `InputError` where a run of these names has it."""
+    digest = readings_digest(run)
+    if (other := names.get(digest)) is not None:
+        raise InputError(say("run-twice-by-readings", run=run.name, other=other))
+    return digest
+
+
+def readings_digest(run: Run) -> bytes:
+    """Return what a run's times and readings are known by, whatever it is called."""
     readings = sha256(run.time_s.tobytes())
     for name in sorted(run.columns):
         readings.update(run.columns[name].tobytes())
-    if (other := names.get(readings.digest())) is not None:
-        raise InputError(say("run-twice-by-readings", run=run.name, other=other))
     return readings.digest()

@@ -9,12 +9,25 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    and_,
+    delete,
+    exists,
+    func,
+    insert,
+    literal_column,
+    or_,
+    select,
+)
 
+from daq.files.parquet_columns import MICRO
 from daq.store.convert import known_utc, to_json, unix_of
 from daq.store.reading import newest_first, of_press_by_number, run_record_of, runs_query
 from daq.store.records import Page, RunRecord, RunStatus, StoredNight
-from daq.store.schema import ARCHIVE, NIGHT, PRESS, RUN, RUN_CHANGE, UNFITTED
+from daq.store.schema import ARCHIVE, NIGHT, PRESS, RUN, RUN_CHANGE, SCAN, UNFITTED
 
 
 def put_night(connection: Connection, night: StoredNight) -> int:
@@ -74,6 +87,41 @@ def count_pressings(connection: Connection, press: str, *, below: int | None = N
     if below is not None:
         query = query.where(RUN.c.run_number < below)
     return int(connection.execute(query).scalar_one())
+
+
+def earlier_alike(connection: Connection, runs: Sequence[str], back: int) -> dict[str, list[str]]:
+    """Return the runs that may hold the readings of these: stored before, of as many scans, begun at one instant.
+
+    Instants are as files round them, to microseconds. Of runs whose time is not known the first scan decides
+    instead, among `back` stored before each: nothing leads to others, and they are never archived.
+    """
+    own, other = RUN.alias("own_run"), RUN.alias("other_run")
+    press, its_press = PRESS.alias("own_press"), PRESS.alias("other_press")  # recorded and imported are two
+    first, its_first = SCAN.alias("own_scan"), SCAN.alias("other_scan")
+    start, its_start = (func.coalesce(r.c.started_unix_s, literal_column("-1.0")) for r in (own, other))
+    firsts = [s.c.press_id == r.c.press_id for s, r in ((first, own), (its_first, other))]
+    firsts += [s.c.number == r.c.first_scan for s, r in ((first, own), (its_first, other))]
+    known = (own.c.started_unix_s.is_not(None), its_start.between(start - 1 / MICRO, start + 1 / MICRO))
+    unknown = (
+        own.c.started_unix_s.is_(None),
+        other.c.started_unix_s.is_(None),
+        other.c.run_number >= own.c.run_number - back,
+        exists().where(*firsts, first.c.readings == its_first.c.readings),
+    )
+    query = (
+        select(own.c.run, other.c.run.label("before"))
+        .join(press, press.c.press_id == own.c.press_id)
+        .join(its_press, its_press.c.name == press.c.name)
+        .join(other, other.c.press_id == its_press.c.press_id)
+        .where(own.c.run.in_(runs), other.c.run_number < own.c.run_number)
+        .where(other.c.last_scan - other.c.first_scan == own.c.last_scan - own.c.first_scan)
+        .order_by(other.c.run_number)
+    )
+    found: dict[str, list[str]] = {}
+    for alike in (known, unknown):  # each as its index goes
+        for row in connection.execute(query.where(*alike)):
+            found.setdefault(row.run, []).append(row.before)
+    return found
 
 
 def _finished(press: str) -> list[ColumnElement[bool]]:

@@ -225,6 +225,7 @@ class Store:
     put_unfitted = _writes(nights.put_unfitted)
     unfitted_marks = _reads(nights.unfitted_marks)
     killed_runs = _reads(nights.killed_runs)
+    earlier_alike = _reads(nights.earlier_alike)
     count_unfitted = _reads(nights.count_unfitted)
     nights = _reads(nights.nights)
 

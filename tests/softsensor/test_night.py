@@ -160,8 +160,33 @@ def test_each_run_is_bet_on_once_wherever_a_night_is_killed(store, runs, monkeyp
 def test_a_pressing_that_is_stored_twice_is_judged_once(store, runs):
     fill(store, [*runs[:3], replace(runs[0], name="copy")])
     outcome = refit_press(store, "lab", PRESS, workers=1)
-    assert [run for run, _ in outcome.left_out] == [runs[0].name]
-    assert "holds the readings of run 'copy'" in str(outcome.unread[0])
+    assert [run for run, _ in outcome.left_out] == ["copy"]
+    assert f"holds the readings of run '{runs[0].name}'" in str(outcome.unread[0])
+
+
+@pytest.mark.parametrize("started", [None, datetime(2026, 3, 4, 7, 0, 0, 123456, UTC)], ids=["undated", "dated"])
+@pytest.mark.parametrize("newest", [3, 200])
+def test_a_pressing_that_comes_again_under_another_name_is_no_further_evidence(
+    store, runs, started, newest, monkeypatch
+):
+    monkeypatch.setattr(nightly, "judge_night", lambda night, outcome: outcome)
+    monkeypatch.setattr(nightly, "DIAGNOSED_RUNS", newest)
+    monkeypatch.setattr(nightly, "JUDGES", 0)
+    when = {"recorded.started_utc": started} if started else {}
+    first = [replace(run, header={**run.header, **when}) for run in runs]
+    fill(store, first)
+    refit_press(store, "lab", PRESS, workers=1)
+    before = store.nights(press="lab").items[0].progress["bets"]
+    if started:
+        store.use_archive(store.database.path.parent / "archive")
+        for run in runs:
+            store.archive_run(run.name)
+    fill(store, [replace(run, name=f"copy of {run.name}") for run in first])
+    refit_press(store, "lab", PRESS, workers=1)
+    told = [entry.message.code for entry in store.journal(press="lab", level="alarm").items]
+    assert told == ["run-not-judged"] * len(runs)
+    assert store.nights(press="lab").items[0].progress["bets"] == before
+    assert before["runs"] == min(len(runs), newest)
 
 
 def damage_of(store, kind, run, tmp_path):
@@ -404,13 +429,18 @@ def test_edited_and_late_runs_far_behind_the_newest_are_found(store, runs, monke
     assert store.fit("run-01")["fingerprint"] == fingerprint(store.run_record("run-01"), PRESS, None)
 
 
+def differing(run, name, kelvin):
+    """A pressing of its own: copies of one are looked up."""
+    return replace(run, name=name, columns={**run.columns, "top_1": run.columns["top_1"] + kelvin})
+
+
 def test_a_night_asks_as_often_whatever_is_stored(store, runs, monkeypatch, judging_nothing):
     monkeypatch.setattr(progress, "WINDOW", 4)
     asked = []
     event.listen(store.database.engine, "before_cursor_execute", lambda *a: asked.append(a[2]))
     counts = []
     for stored in (10, 40):
-        fill(store, [replace(runs[0], name=f"run-{stored}-{i:02}") for i in range(stored)])
+        fill(store, [differing(runs[0], f"run-{stored}-{i:02}", 1e-3 * (i + stored)) for i in range(stored)])
         refit_press(store, "lab", PRESS, workers=1)
         asked.clear()
         refit_press(store, "lab", PRESS, workers=1)
