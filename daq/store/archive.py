@@ -67,29 +67,42 @@ class Checked:
 
 
 def use_archive(database: Database, folder: Path) -> None:
-    """Make a folder the store's archive, or see that it is still the one.
+    """Make a folder the store's archive, or see that it is still the one: it holds some of what was archived.
+
+    A file that is lost does not keep the others from being looked after.
 
     Raises
     ------
     InputError
         For a folder that is not there or lacks what was archived: nothing is changed then.
     """
+    with database.reading() as connection:
+        before = connection.execute(select(ARCHIVE_TOTAL.c.folder)).scalar()
+        lacking = _lacking(connection, folder)
+    if lacking is not None:
+        raise InputError(say("archive-folder-lacks", folder=str(folder), file=lacking, before=before or ""))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(say("archive-folder-refused", folder=str(folder), reason=reason_of(error))) from error
     with database.writing() as connection:
         there = connection.execute(select(ARCHIVE_TOTAL)).first()
-        newest = select(ARCHIVE.c.file).where(ARCHIVE.c.file != "").order_by(ARCHIVE.c.archived_unix_s.desc())
-        file = connection.execute(newest.limit(1)).scalar()
-        if file is not None and not (folder / file).is_file():
-            before = there.folder if there is not None else ""
-            raise InputError(say("archive-folder-lacks", folder=str(folder), file=file, before=before))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(say("archive-folder-refused", folder=str(folder), reason=reason_of(error))) from error
         if there is None:
             none = {"runs": 0, "scans": 0, "bytes": 0, "removed": 0}
             connection.execute(insert(ARCHIVE_TOTAL), {"place": 1, "folder": str(folder), **none})
         elif there.folder != str(folder):
             connection.execute(update(ARCHIVE_TOTAL).values(folder=str(folder)))
+
+
+def _lacking(connection: Connection, folder: Path) -> str | None:
+    """Return the newest archived file where a folder holds none of them, None where it holds one or none is."""
+    newest = select(ARCHIVE.c.file).where(ARCHIVE.c.file != "").order_by(ARCHIVE.c.archived_unix_s.desc())
+    file: str | None = connection.execute(newest.limit(1)).scalar()
+    if file is None or (folder / file).is_file():
+        return None
+    if not folder.is_dir() or not any(folder.iterdir()):  # as where a disk is not mounted
+        return file
+    return None if any((folder / other).is_file() for other in connection.execute(newest).scalars()) else file
 
 
 def runs_to_archive(connection: Connection, press: str, before: datetime) -> list[str]:

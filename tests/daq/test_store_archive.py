@@ -472,6 +472,24 @@ def test_a_folder_without_what_was_archived_is_refused(store, tmp_path):
     assert len(store.load_run("one").time_s) == 60
 
 
+def test_a_lost_file_be_it_the_newest_does_not_end_the_archive(store, tmp_path):
+    record(store)
+    record(store, "two")
+    store.use_archive(tmp_path / "a")
+    store.archive_run("one")
+    store.archive_run("two")
+    [lost] = (tmp_path / "a").rglob("*-two.parquet")
+    lost.unlink()
+    store.use_archive(tmp_path / "a")
+    found = store.check_archive(datetime.now(UTC) + timedelta(days=1))
+    assert [str(lost) in str(one) for one in found.unsound] == [True]
+    (tmp_path / "b" / "lost+found").mkdir(parents=True)
+    for elsewhere in ("b", "c"):
+        with pytest.raises(InputError, match=r"lacks 2026/03/00000002-two\.parquet"):
+            store.use_archive(tmp_path / elsewhere)
+    assert not (tmp_path / "c").exists()
+
+
 @pytest.mark.campaign
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 def test_killed_at_random_again_and_again_a_night_archives_and_gives_up_all_and_loses_nothing(store, tmp_path):
