@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 from dataclasses import replace
@@ -11,9 +12,11 @@ import pytest
 from playwright.sync_api import expect
 
 from api.http.tokens import TokenFile
-from daq.store.records import in_status
+from daq.records import PressEvent, PressEventKind
+from daq.store.records import NewRun, StoredEstimate, in_status
 from daq.words import say
 from tests.browser.conftest import CHANNELS, LAB, NOTIFICATIONS
+from tests.patience import wait_until
 
 TOLD = re.compile(r"(?:no|new) (?:new )?reading|no scan|silent|sign of life", re.IGNORECASE)
 """A sentence that says of a silence that it is one."""
@@ -178,6 +181,66 @@ def test_of_a_silence_the_server_knows_of_its_core_counts_and_what_the_tab_saw_b
     asked = [(SEEN, False), (SEEN, True), (later, True), (later, True), (NO_SCANS | {"last_core": None}, True)]
     seen, newer, none = [31.0, "07:00"], [52.0, "08:00"], [None, None]
     assert page.evaluate(KEPT, asked) == [[31.0, None], seen, newer, newer, none]
+
+
+TAKEN = """async ([now, data]) => {
+    const { LastCore, courseOf, take } = await import('./static/views/answer.js');
+    const kept = new LastCore();
+    kept.of(now, false);
+    const good = { ...data, valid: true };
+    const ahead = { ...good, course: [[2, 9]], time_s: 3 };
+    const estimates = [data, { ...data, reason: 'live sensor silent' }, good, ahead];
+    const courses = estimates.map((one) => courseOf(one, 'before'));
+    return [take(now, data), now.state, kept.of(now, true).estimate.core_C, courses];
+}"""
+SHOWN = {"phases": [], "run": "a", "silent_after_s": 5.0} | SEEN
+
+
+def test_the_stream_takes_no_late_estimate_for_one_of_now_and_a_silence_keeps_core_and_no_forecast(served):
+    server, _, page = served
+    page.goto(server.url)
+    late = {"valid": False, "state": "idle", "age_s": 6.0, "run": "a", "reason": "no panel", "course": None}
+    courses = [None, None, "before", [[5, 9]]]
+    assert page.evaluate(TAKEN, [SHOWN, late]) == [False, "closed", 31.0, courses]
+    silence = late | {"reason": "no scans", "state": "unknown"}
+    assert page.evaluate(TAKEN, [SHOWN, silence]) == [True, "unknown", 31.0, courses]
+
+
+HEARD = """() => {
+    window.shown = new Set();
+    const look = () => shown.add(document.querySelector('[data-testid=state]').textContent);
+    const all = { subtree: true, childList: true, characterData: true };
+    new MutationObserver(look).observe(document.querySelector('main'), all);
+    window.heard = 0;
+    const stream = new EventSource('./api/v1/live');
+    stream.addEventListener('estimate', () => { heard += 1; });
+    return new Promise((opened) => { stream.onopen = () => opened(true); });
+}"""
+
+
+@pytest.mark.parametrize("view", ["now", "wall"])
+def test_a_live_sensor_that_catches_up_changes_nothing_of_now(served, view):
+    """After a stop it writes what it should have said of a press that was empty then."""
+    server, feed, page = served
+    before = [replace(feed._scan(0.0, i), utc=datetime.now(UTC) - timedelta(seconds=20)) for i in range(3)]
+    feed.store.append_scans(feed.key, before)
+    inside = [feed._scan(0.0, i) for i in range(3, 6)]
+    at = inside[0].monotonic_s
+    events = [PressEvent(kind, at, at) for kind in (PressEventKind.INSERTED, PressEventKind.CLOSED)]
+    feed.store.append_scans(feed.key, inside, events, NewRun("lab-1", inside[0].number, inside[0].utc, at, {}))
+    page.goto(f"{server.url}#/{view}")
+    expect(page.get_by_test_id("state")).to_have_text("closed")
+    page.evaluate(HEARD)
+    newest = feed._scan(0.0, 6)
+    feed.store.append_scans(feed.key, [newest])
+    none = (math.nan,) * 4
+    late = [StoredEstimate(one.number, one.monotonic_s, "idle", *none, False, "no panel") for one in before]
+    feed.store.append_estimates("lab", late)
+    wait_until(lambda: page.evaluate("heard") == 3)
+    now = StoredEstimate(newest.number, newest.monotonic_s, "closed", 50.0, 1.0, 48.0, 52.0, True)
+    feed.store.append_estimates("lab", [now])
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    assert page.evaluate("[...shown]") == ["closed"]
 
 
 LOGGER = say("logger-problem", press="lab", logger="platens", why="off")

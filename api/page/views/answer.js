@@ -107,9 +107,11 @@ export class LastCore {
   }
 }
 
-// An estimate of the stream takes the place of the one before; what was missed and comes late is history.
+// An estimate of the stream takes the place of the one before; what comes late is history, valid or not, but for the
+// server's word that nothing is of now. A silence keeps the core that was believed as it began.
 export function take(now, data) {
-  if (data.valid && data.age_s > now.silent_after_s) return false;
+  if (data.age_s > now.silent_after_s && !SILENT.includes(data.reason)) return false;
+  if (data.reason === "no scans" && now.estimate?.reason !== "no scans") now.last_core = now.state !== "idle" && now.estimate?.valid ? now.estimate : null;
   now.estimate = data;
   now.state = data.state;
   const closed = now.phases.findLast((phase) => phase.state === "closed");
@@ -124,9 +126,11 @@ export const countedFrom = (phases) => text(phases?.some((phase) => phase.state 
 
 export const shifted = (phases, zero) => (phases ?? []).map((phase) => ({ ...phase, from_s: phase.from_s - zero, to_s: phase.to_s === null ? null : phase.to_s - zero }));
 
-// The look ahead of an estimate on the run's clock: [[time, core, low, high], ...]; null where it brings none.
-export function courseOf({ course, time_s: time, forecast_age_s: age }) {
-  return course && time !== null ? course.map(([t, ...core]) => [time - (age ?? 0) + t, ...core]) : null;
+// The look ahead on the run's clock, [[time, core, low, high], ...]: what an estimate brings, else what was there
+// before; null where the core is not known.
+export function courseOf({ valid, course, time_s: time, forecast_age_s: age }, before) {
+  if (!valid) return null;
+  return course && time !== null ? course.map(([t, ...core]) => [time - (age ?? 0) + t, ...core]) : before;
 }
 
 export const coreKey = () => key([

@@ -334,8 +334,7 @@ class LivePress {
 
   estimate(data) {
     if (data.press !== this.now?.press) return;
-    take(this.now, data);
-    if (data.run === this.shown) this.course = courseOf(data) ?? this.course;
+    if (take(this.now, data) && data.run === this.shown) this.course = courseOf(data, this.course);
     this.soon("showCore");
     this.factsSoon();
     if (data.run !== this.shown || !this.rows) return;

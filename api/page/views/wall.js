@@ -75,8 +75,9 @@ class Wall {
 
   estimate(data) {
     if (data.press !== this.now?.press || this.left) return;
-    if (take(this.now, data) && data.valid) Object.assign(this, { age: data.age_s, received: performance.now() });
-    this.course = courseOf(data) ?? this.course;
+    const taken = take(this.now, data);
+    if (taken && data.valid) Object.assign(this, { age: data.age_s, received: performance.now() });
+    if (taken && data.run === this.shown) this.course = courseOf(data, this.course);
     if (data.run === this.shown && data.valid && data.time_s !== null) this.keep(data.time_s, data.core_low_C, data.core_high_C, data.core_C);
     if (this.work) return;
     this.work = requestAnimationFrame(() => { this.work = 0; if (!this.left) this.draw(); });
