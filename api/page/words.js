@@ -82,7 +82,7 @@ const PLACES = { "panel.top": "page-sensors-top", "panel.bottom": "page-sensors-
 // Where a sensor sits, in words; a place without any stands for itself.
 export const placeName = (place) => (PLACES[place] ? text(PLACES[place]) : place);
 
-// A run's number in words with its unit; one without words, of a header of one's own, stands for itself.
+// A number or header key of a run in words with its unit; one without words, of a header of one's own, stands for itself.
 export function numberName(key) {
   const code = `page-number-${key.replaceAll(".", "-")}`;
   if (has(code)) return text(code);

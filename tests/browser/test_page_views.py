@@ -1153,6 +1153,18 @@ def test_two_runs_are_compared_against_one_of_them(plant):
     page.wait_for_function("document.documentElement.scrollWidth <= 375")
 
 
+@pytest.mark.parametrize(("language", "line"), [("en", "Panel became.*blister"), ("de", "Platte wurde.*Blase")])
+def test_what_became_of_the_panels_compared_is_in_the_words_it_is_marked_with(plant, served, language, line):
+    address, page, _ = plant
+    _, feed, _ = served
+    feed.store.annotate_run("campaign-1", {"panel.verdict": "blister", "recipe": "16 mm"}, "operator")
+    page.goto(address + "#/runs/compare/campaign-1/lab-0000000")
+    page.locator("#language").select_option(language)
+    table = page.get_by_test_id("differences")
+    expect(table.get_by_role("row", name=re.compile(line))).to_be_visible()
+    expect(table).not_to_contain_text("recipe")
+
+
 def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant, served):
     address, page, _ = plant
     fit = page.locator("[data-testid=fit]")

@@ -33,6 +33,6 @@ function draw(holder, answer, known) {
   chart.set([0, 1, 2, 3].map((k) => points.map((row) => row[k])));
 }
 
-const marked = (panels) => table(text("page-blisters-marked"), [{ text: text("page-run") }, { text: text("page-panel-became") }, { text: text("page-steam"), class: "right" }],
+const marked = (panels) => table(text("page-blisters-marked"), [{ text: text("page-run") }, { text: text("page-number-panel-verdict") }, { text: text("page-steam"), class: "right" }],
   panels.map(({ run, verdict, steam_kPa: steam, steam_high_kPa: high }) => [el("a", { href: `#/runs/${encodeURIComponent(run)}` }, run), el("span", { class: `pill ${verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${verdict}`)),
     el("span", { class: "num" }, steam === null ? "–" : `${number(steam, 0)} kPa (${steamOf(high)})`)]));

@@ -3,6 +3,7 @@ import { get } from "../api.js";
 import { TimeChart, straight } from "../charts.js";
 import { el, figure, table } from "../dom.js";
 import { numberName, text } from "../words.js";
+import { inPlainWords } from "./metadata.js";
 import { scatter } from "./scatter.js";
 
 const QUANTITIES = {
@@ -107,10 +108,11 @@ const reading = (run, quantity, at) => straight(run[quantity].times, run[quantit
 function differences(runs) {
   const keys = [...new Set(runs.flatMap(({ detail, numbers }) => [...Object.keys(detail.header).filter((key) => key !== "run"), ...Object.keys(numbers)]))].sort();
   const value = ({ detail, numbers }, key) => detail.header[key] ?? numbers[key] ?? null;
-  const shown = (one) => (one === null ? "–" : typeof one === "number" ? figure(one) : String(one));
+  const shown = (key, one) => (typeof one === "number" ? figure(one) : inPlainWords(key, one));
   const rows = keys.map((key) => {
     const values = runs.map((run) => value(run, key));
-    return { key, cells: values.map(shown), differs: new Set(values.filter((one) => one !== null).map(shown)).size > 1 };
+    const cells = values.map((one) => shown(key, one));
+    return { key, cells, differs: new Set(cells.filter((_, i) => values[i] !== null)).size > 1 };
   }).sort((a, b) => Number(b.differs) - Number(a.differs));
   return el("section", { class: "card", "data-testid": "differences" }, el("h2", {}, text("page-differences")), table(text("page-differences"),
     [{ text: text("page-name") }, ...runs.map(({ id }) => ({ text: id, class: "right" }))],

@@ -21,14 +21,14 @@ export function metadataCard(run, path) {
 
 // A header key in words where it has some, with the key that files and searches know it by.
 const called = (key) => {
-  const words = key === "panel.verdict" ? text("page-panel-became") : numberName(key);
+  const words = numberName(key);
   return words === key ? key : el("div", {}, words, el("div", { class: "faint small" }, key));
 };
 
 const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "number" ? written(value) : typeof value === "object" ? JSON.stringify(value) : String(value));
 
 // What a panel became is marked by a button, and read as that button's words.
-const inPlainWords = (key, value) => (key === "panel.verdict" && VERDICTS.includes(value) ? text(`page-panel-${value}`) : shown(value));
+export const inPlainWords = (key, value) => (key === "panel.verdict" && VERDICTS.includes(value) ? text(`page-panel-${value}`) : shown(value));
 
 function historyOf(changes) {
   return el("details", {}, el("summary", { class: "small" }, `${text("page-changes")} (${changes.length})`),

@@ -45,7 +45,7 @@ export class PanelCards {
     const message = el("p", { role: "status", class: "small" });
     this.faces = el("p", { class: "small faint faces-now" });
     const form = el("form", { class: "touch-form" },
-      el("label", { for: "next-recipe" }, text("page-recipe"), choice), ...fields.map(({ row }) => row),
+      el("label", { for: "next-recipe" }, text("page-number-recipe"), choice), ...fields.map(({ row }) => row),
       el("label", { for: "next-name" }, text("page-recipe-name"), name),
       el("button", { class: "button primary" }, text("page-save")));
     form.addEventListener("input", () => { this.typed = true; });

@@ -47,7 +47,7 @@ async function list(place, context) {
     el("div", { class: "row", style: "margin-bottom:.8rem" },
       field("q", text("page-search"), el("input", { type: "search", size: 18 })),
       field("where", text("page-search-bounds"), el("input", { type: "search", size: 40, placeholder: "panel.thickness_mm=16 rmse_K<1" })),
-      field("verdict", text("page-panel-became"), options(["good", "blister", "undercured", "scrap"], "page-panel-")),
+      field("verdict", text("page-number-panel-verdict"), options(["good", "blister", "undercured", "scrap"], "page-panel-")),
       field("status", text("page-status"), options(["open", "closed", "interrupted"], "page-run-")),
       field("from", text("page-from"), el("input", { type: "date" })),
       field("to", text("page-to"), el("input", { type: "date" }))),
@@ -96,7 +96,7 @@ async function list(place, context) {
       { text: text("page-run") }, { text: text("page-started") }, { text: text("page-material"), class: "hide-narrow" },
       { text: sorting("panel.thickness_mm", text("page-thickness")), class: "right hide-narrow" },
       ...columns.map(([name, code]) => ({ text: sorting(name, text(code)), class: ["core_peak_C", "band_at_opening_K"].includes(name) ? "right hide-narrow" : "right" })),
-      { text: text("page-panel-became") }, { text: text("page-status") },
+      { text: text("page-number-panel-verdict") }, { text: text("page-status") },
     ], items.map((run) => [
       el("div", { class: "chosen" },
         el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
