@@ -220,6 +220,8 @@ def _missed(process: ProcessHealth) -> Message:
     command = duty_of(process.name)
     if process.age_s is None:
         return say(NEVER_SEEN, process=process.name, command=command)
+    if process.state == "stopped":
+        return say("health-process-stopped", process=process.name, command=command)
     if process.age_s > LONG_S:
         hours = process.age_s / 3600.0
         return say("health-process-silent-for-hours", process=process.name, hours=hours, command=command)

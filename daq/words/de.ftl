@@ -1777,6 +1777,7 @@ health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hour
 health-process-never-seen = { $process }: noch nie gesehen; kerntemp { $command } starten
 health-process-silent = { $process }: seit { SPAN($seconds) } stumm; kerntemp { $command } starten
 health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; kerntemp { $command } starten
+health-process-stopped = { $process }: wurde beendet; kerntemp { $command } starten
 health-runs-damaged = { $runs ->
     [one] von den neuesten Pressungen ist eine
    *[other] von den neuesten Pressungen sind { $runs }

@@ -1767,6 +1767,7 @@ health-nightly-job-overdue = refit: the nightly job has not finished for { NUMBE
 health-process-never-seen = { $process }: never seen; start kerntemp { $command }
 health-process-silent = { $process }: silent for { SPAN($seconds) }; start kerntemp { $command }
 health-process-silent-for-hours = { $process }: silent for { NUMBER($hours, maximumFractionDigits: 0) } h; start kerntemp { $command }
+health-process-stopped = { $process }: was stopped; start kerntemp { $command }
 health-runs-damaged = { $runs ->
     [one] of the newest runs one is damaged
    *[other] of the newest runs { $runs } are damaged

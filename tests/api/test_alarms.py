@@ -38,6 +38,7 @@ from daq.store.records import NewRun, StandingAlarm, StoredEstimate
 from daq.store.write_batch import Entry
 from daq.supervision import IN_USE_S
 from daq.words import say
+from daq.words.message import words
 from tests.api.certificates import self_signed
 from tests.patience import wait_until
 
@@ -572,6 +573,16 @@ def test_a_silence_that_grows_from_seconds_to_hours_is_one_alarm(store):
     assert [a.message.code for a in store.alarms().items if a.message.arguments["process"] == "record"] == [
         "health-process-silent"
     ]
+
+
+def test_a_process_that_somebody_stopped_is_no_silent_one_however_long_ago(store):
+    store.beat("record", {"state": "stopped"})
+    began = datetime.now(UTC)
+    for s in (0, 20, 9000):
+        look(store, [], began + timedelta(seconds=s))
+    found = [a.message for a in store.alarms().items if a.message.arguments["process"] == "record"]
+    assert [words(one) for one in found] == ["record: was stopped; start kerntemp record"]
+    assert words(found[0], "de") == "record: wurde beendet; kerntemp record starten"
 
 
 @pytest.fixture
