@@ -22,6 +22,7 @@ from typing import Any
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store.buffer import Buffer, set_aside
 from daq.store.convert import known_utc
+from daq.store.last_written import WrittenSoFar
 from daq.store.records import PressGone, PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
@@ -67,8 +68,7 @@ class Outbox:
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
-        self._newest: dict[int, int] = {}
-        """The newest scan that was written of each press, by its number in the store."""
+        self._so_far = WrittenSoFar()
         self._per_second = per_second
         self._gather_s = gather_s
         self._acknowledged = acknowledged or (lambda batch: None)
@@ -214,8 +214,7 @@ class Outbox:
         self._again, self._unsettled = [*self._again, *self._unsettled], deque(maxlen=_MOST_WAITING)
         for item in reversed(self._again):
             if isinstance(item, WriteBatch) and item.scans:
-                moved = self._placement.moved(item)
-                self._newest[moved.key.press_id] = moved.scans[0].number - 1
+                self._so_far.ends_before(self._placement.moved(item))
 
     def _settle(self) -> None:
         """Bring what the log holds into the file with every sign of life, and forget what is there for certain."""
@@ -342,22 +341,18 @@ class Outbox:
     def _write_placed(self, batches: Sequence[WriteBatch], lines: Sequence[Entry] = ()) -> None:
         """Write, and report where the store lacks what it had: an older state of it, or another one, is there."""
         try:
-            there = self._store.write_batches(batches, lines)
+            there = self._store.write_batches(batches, lines, self._so_far)
         except PressGone as gone:
             self._placement.forget(gone.press_id)
-            self._newest.pop(gone.press_id, None)
+            self._so_far.forget(gone.press_id)
             raise
         names = {batch.key.press_id: batch.key.name for batch in batches}
-        for press_id, newest in there.items():
-            if (last := self._newest.get(press_id, -1)) > newest:
-                numbers = {"first": newest + 1, "last": last}
-                self._journal(
-                    "alarm", say("store-went-back", store=self._store.label, press=names[press_id], **numbers)
-                )
-                self._newest[press_id] = newest
-        for batch in batches:
-            last = max((scan.number for scan in batch.scans), default=-1)
-            self._newest[batch.key.press_id] = max(last, self._newest.get(batch.key.press_id, -1))
+        for press_id, lost in self._so_far.lacking(there):
+            numbers = {"first": lost[0], "last": lost[-1]}
+            self._journal(
+                "alarm", say("store-went-back", store=self._store.label, press=names[press_id], **numbers)
+            )
+        self._so_far.add(batches)
 
     def _acknowledge(self, items: Sequence[WriteBatch | Entry]) -> None:
         for item in items:
@@ -396,11 +391,20 @@ class Outbox:
                 return
             if not rows:
                 return
+            self._know_from([item for _, item in rows])
             self._write([item for _, item in rows])
             self._buffer.remove(rows[-1][0])
             self._show()
             self._take()
             self._keep()
+
+    def _know_from(self, items: Sequence[WriteBatch | Entry]) -> None:
+        """Reckon with the scans before those an earlier process left in the buffer: it had written them."""
+        for item in items:
+            if isinstance(item, Entry) or not item.scans or self._placement.is_moved(item.key):
+                continue
+            if item.key.press_id not in self._so_far:
+                self._so_far.ends_before(item)
 
 
 def _example(channels: Sequence[Channel]) -> WriteBatch:

@@ -20,6 +20,7 @@ from daq.press.header import new_doubts
 from daq.records import Channel, InputError, PressEvent, Quality, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, known_utc, null, readings_json, unix_of
 from daq.store.journal import log
+from daq.store.last_written import LastWritten
 from daq.store.next_panel import take_next_panel
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.reading import has_run, run_row
@@ -197,6 +198,23 @@ def newest_of(connection: Connection, keys: Iterable[PressKey], store: str) -> d
         if press_id not in rows or rows[press_id].name != name:
             raise PressGone(say("store-press-gone", store=store, press=name), press_id)
     return {press_id: -1 if row.newest is None else int(row.newest) for press_id, row in rows.items()}
+
+
+def end_runs_left_open(
+    connection: Connection,
+    newest: Mapping[int, int],
+    so_far: Mapping[int, LastWritten],
+    presses: Mapping[int, str],
+) -> None:
+    """Have runs interrupted that an older state of the store shows open, but for the one under way.
+
+    Their ends are lost, and what moves the press now belongs to another panel.
+    """
+    for press_id, name in presses.items():
+        last = so_far.get(press_id)
+        if last is not None and last.scan > newest[press_id]:
+            for run in interrupt_open_runs(connection, name, under_way=last.run):
+                log(connection, "warning", PROCESS, say("run-interrupted", run=run), name, None)
 
 
 def append(
@@ -414,15 +432,19 @@ def _append_event(connection: Connection, key: PressKey, event: PressEvent, numb
     )
 
 
-def interrupt_open_runs(connection: Connection, press: str, before: int | None = None) -> list[str]:
+def interrupt_open_runs(
+    connection: Connection, press: str, before: int | None = None, under_way: int | None = None
+) -> list[str]:
     """Mark runs that a crash, or an older state of the store, left open; their data stay. Returns their names.
 
-    `before` is the first scan that is not theirs; None: all are.
+    `before` is the first scan that is not theirs; None: all are. The run that begins with the scan `under_way`
+    stays as it is.
     """
     is_open = (
         select(RUN.c.run, RUN.c.press_id, RUN.c.first_scan)
         .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
         .where(PRESS.c.name == press, RUN.c.status == RunStatus.OPEN.value)
+        .where(true() if under_way is None else RUN.c.first_scan != under_way)
     )
     theirs = SCAN.c.number < before if before is not None else true()
     names = []

@@ -53,7 +53,7 @@ class SessionPlacement:
 
     def waits_for_place(self, batch: WriteBatch) -> bool:
         """Whether this is the first batch of a session: all before it must be written before it is placed."""
-        return self._is_moved(batch.key) and "press_id" not in self._note(batch.key)
+        return self.is_moved(batch.key) and "press_id" not in self._note(batch.key)
 
     def forget(self, press_id: int) -> None:
         """Have whatever belonged to a press that the store does not have any more placed again."""
@@ -64,7 +64,8 @@ class SessionPlacement:
         if not sessions:
             self._notes[press_id] = {"channels": None, "press_file": ""}
 
-    def _is_moved(self, key: PressKey) -> bool:
+    def is_moved(self, key: PressKey) -> bool:
+        """Whether what has this key gets press and numbers of another one."""
         return key.press_id < 0 or key.press_id in self._notes
 
     def place(self, key: PressKey) -> SessionPlace:
@@ -88,7 +89,7 @@ class SessionPlacement:
     def moved(self, batch: WriteBatch) -> WriteBatch:
         """Return the batch as the store takes it."""
         key, shift = batch.key, 0
-        if self._is_moved(key):
+        if self.is_moved(key):
             place = self.place(key)
             key, shift = replace(key, press_id=place.press_id), place.shift
         if key is batch.key:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
@@ -35,6 +35,7 @@ from daq.store import (
 )
 from daq.store.archive import Checked
 from daq.store.database import BUSY_S, Database
+from daq.store.last_written import LastWritten
 from daq.store.origin import header_for_file
 from daq.store.records import Moved
 from daq.store.write_batch import Entry, WriteBatch, in_rows
@@ -123,16 +124,25 @@ class Store:
     recipes = _reads(next_panel.recipes)
     next_panel = _reads(next_panel.next_panel)
 
-    def write_batches(self, batches: Sequence[WriteBatch], lines: Sequence[Entry] = ()) -> dict[int, int]:
+    def write_batches(
+        self,
+        batches: Sequence[WriteBatch],
+        lines: Sequence[Entry] = (),
+        so_far: Mapping[int, LastWritten] | None = None,
+    ) -> dict[int, int]:
         """Write several batches of `append_scans` and journal lines in one commit.
 
-        Returns by press what `recording.newest_of` gave before. Raises `PressGone` where another store is there.
+        In a store that lacks what was written `so_far`, runs that are open without being the one under way are
+        over. Returns by press what `recording.newest_of` gave before. Raises `PressGone` where another store is
+        there.
         """
         if not batches and not lines:
             return {}
         with self.database.writing() as connection:
             self.database.check_whole(connection)
             newest = recording.newest_of(connection, (p.key for p in batches), self.label)
+            names = {p.key.press_id: p.key.name for p in batches}
+            recording.end_runs_left_open(connection, newest, so_far or {}, names)
             keys = recording.with_layouts(connection, (p.key for p in batches))
             for p in in_rows(batches):
                 recording.append(connection, keys[p.key], p.scans, p.events, p.begin, p.end)

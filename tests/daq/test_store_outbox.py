@@ -75,9 +75,9 @@ def test_while_much_waits_to_be_written_the_recorder_gives_signs_of_life(tmp_pat
         outbox = Outbox(store, buffer=tmp_path / "b.sqlite" if buffered else None)
         write = store.write_batches
 
-        def watched(batches, lines=()):
+        def watched(*given):
             alive.append("record" in store.statuses())
-            return write(batches, lines)
+            return write(*given)
 
         monkeypatch.setattr(store, "write_batches", watched)
         for item in () if buffered else much:

@@ -1,5 +1,6 @@
 """Another state of the store under a running writer: emptied, restored, another one. Told, and nothing is lost."""
 
+import math
 import os
 import shutil
 from contextlib import contextmanager
@@ -185,6 +186,59 @@ def test_a_server_that_took_over_without_the_newest_scans_is_told_with_their_num
         assert numbers(store) == [*range(20), *range(30, 40)]
     (alarm,) = told(notes)
     assert "scans 20 to 29 of press lab" in alarm
+
+
+def moved(key, kind, number):
+    return WriteBatch(
+        key, events=(PressEvent(kind, 1e2 + number / 10, 1e2 + number / 10, EventSource.TEMPERATURES),)
+    )
+
+
+@pytest.mark.parametrize("under_way", [False, True], ids=["its end is lost", "it is under way"])
+def test_a_run_that_an_older_state_shows_open_gets_no_moment_of_a_later_panel(store_url, tmp_path, under_way):
+    with open_store(store_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path, buffered=False)
+        made = pressing(key, 0, 19)
+        later = () if under_way else (made[-1], *pressing(key, 20, 39)[:-1])
+        for one in [*made[:-1], moved(key, PressEventKind.CLOSED, 5), *later]:
+            outbox.put(one)
+        wait_until(lambda: outbox.waiting == 0 and outbox.written == (20 if under_way else 40))
+        address = store_url if "://" in store_url else f"sqlite:///{store_url}"
+        again = "UPDATE run SET status = 'open', last_scan = NULL, ended_unix_s = NULL"
+        server(address, "DELETE FROM scan WHERE number > 9", "DELETE FROM run WHERE first_scan > 9", again)
+        for n in range(40, 50):
+            outbox.put(batch(key, n))
+        outbox.put(moved(key, PressEventKind.OPENED, 45))
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        run = store.run_record("lab-0")
+        assert any("scans 10 to" in alarm for alarm in told(notes))
+        if under_way:
+            assert (run.status, run.moments.opened_s) == (RunStatus.OPEN, pytest.approx(4.5))
+        else:
+            assert (run.status, run.last_scan) == (RunStatus.INTERRUPTED, 9)
+            assert math.isnan(run.moments.opened_s)
+
+
+def test_what_an_older_state_lacks_is_told_also_by_a_later_process_with_the_buffer(postgresql_url, tmp_path):
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        first, _ = started(store, tmp_path)
+        for n in range(20):
+            first.put(batch(key, n))
+        wait_until(lambda: first.written == 20 and first.waiting == 0)
+        server(postgresql_url, "ALTER TABLE scan RENAME TO elsewhere")
+        for n in range(20, 30):
+            first.put(batch(key, n))
+        wait_until(lambda: first.written == 30)
+        first.close()
+        server(postgresql_url, "ALTER TABLE elsewhere RENAME TO scan", "DELETE FROM scan WHERE number > 9")
+        second, notes = started(store, tmp_path)
+        wait_until(lambda: second.waiting == 0)
+        second.close()
+        assert numbers(store) == [*range(10), *range(20, 30)]
+        assert any("scans 10 to 19 of press lab" in alarm for alarm in told(notes))
 
 
 @pytest.mark.parametrize("given_away", [False, True], ids=["gone", "given to another press"])
