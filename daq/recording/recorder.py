@@ -50,7 +50,8 @@ recorder was killed            ``run ... was interrupted; its data are kept`` (w
 second recorder, same machine  ``press lab: another recorder writes it into ...; stop that one first`` or ``buffer
                                ...: another recorder uses it``: exit status 2, the first is not disturbed
 two recorders on one press     ``scan N is there already with other values; another recorder writes to this
-                               press: stop one of them`` (alarm)
+                               press: stop one of them`` (alarm); a minute after the other has ended ``what waited
+                               here is stored behind its scans`` (warning)
 clock set                      ``the clock of this machine was set by -3600.0 s; times within a run are not
                                affected`` (warning)
 logger silent or unplugged     ``logger X does not answer: ...; recording goes on without it, trying again``

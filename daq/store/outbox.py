@@ -23,7 +23,7 @@ from daq.records import Channel, InputError, Quality, Scan
 from daq.store.buffer import Buffer, set_aside
 from daq.store.convert import known_utc
 from daq.store.last_written import WrittenSoFar
-from daq.store.records import PressGone, PressKey, StoreUnavailable
+from daq.store.records import NumbersTaken, PressGone, PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
@@ -69,6 +69,8 @@ class Outbox:
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
         self._so_far = WrittenSoFar()
+        self._others: dict[int, tuple[int, float]] = {}
+        """By press the newest scan of another recorder that is in the way, and since when it has been that one."""
         self._per_second = per_second
         self._gather_s = gather_s
         self._acknowledged = acknowledged or (lambda batch: None)
@@ -346,6 +348,9 @@ class Outbox:
             self._placement.forget(gone.press_id)
             self._so_far.forget(gone.press_id)
             raise
+        except NumbersTaken as taken:
+            self._step_behind(taken, next(x.key.name for x in batches if x.key.press_id == taken.press_id))
+            raise
         names = {batch.key.press_id: batch.key.name for batch in batches}
         for press_id, lost in self._so_far.lacking(there):
             numbers = {"first": lost[0], "last": lost[-1]}
@@ -353,6 +358,18 @@ class Outbox:
                 "alarm", say("store-went-back", store=self._store.label, press=names[press_id], **numbers)
             )
         self._so_far.add(batches)
+
+    def _step_behind(self, taken: NumbersTaken, press: str) -> None:
+        """Have what waits placed behind another recorder's scans, once that one has written none for a while."""
+        now_s = time.monotonic()
+        newest, since_s = self._others.get(taken.press_id, (-1, now_s))
+        if taken.newest != newest:
+            self._others[taken.press_id] = taken.newest, now_s
+        elif now_s - since_s > STALLED_S:
+            del self._others[taken.press_id]
+            self._placement.forget(taken.press_id)
+            self._so_far.forget(taken.press_id)
+            self._journal("warning", say("scans-behind-others", press=press, seconds=now_s - since_s))
 
     def _acknowledge(self, items: Sequence[WriteBatch | Entry]) -> None:
         for item in items:

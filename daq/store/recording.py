@@ -26,13 +26,13 @@ from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.reading import has_run, run_row
 from daq.store.records import (
     NewRun,
+    NumbersTaken,
     PressGone,
     PressKey,
     RunChange,
     RunEnd,
     RunStatus,
     ScansUnreadable,
-    StoreUnavailable,
 )
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
 from daq.store.sound_rows import rows_with_damage, stored_header
@@ -268,7 +268,9 @@ def _append_unless_there(connection: Connection, key: PressKey, rows: list[dict[
         if there is None:
             connection.execute(insert(SCAN), row)
         elif there["monotonic_s"] != row["monotonic_s"] or there["readings"] != row["readings"]:
-            raise StoreUnavailable(say("store-scan-taken", press=key.name, scan=row["number"]))
+            newest = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == key.press_id))
+            taken = say("store-scan-taken", press=key.name, scan=row["number"])
+            raise NumbersTaken(taken, key.press_id, int(newest.scalar_one()))
 
 
 def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_s: float) -> None:

@@ -30,6 +30,16 @@ class PressGone(StoreUnavailable):
         self.press_id = press_id
 
 
+class NumbersTaken(StoreUnavailable):
+    """Another recorder has written other scans of a press under the same numbers. The text says so."""
+
+    def __init__(self, what: Message, press_id: int, newest: int) -> None:
+        super().__init__(what)
+        self.press_id = press_id
+        self.newest = newest
+        """The newest scan of the press in the store."""
+
+
 class ScansUnreadable(InputError):
     """What is stored of a run cannot be read any more. The text says of which, where, and what to do."""
 

@@ -441,6 +441,7 @@ recording-now = zeichnet { $presses } auf
 run-interrupted = Pressung { $run } wurde unterbrochen; ihre Daten sind erhalten
 scans-begin = Presse { $press }: Messzeilen beginnen
 scans-begin-late = Presse { $press }: die Aufzeichnung beginnt mit einer Platte, die schon heiß ist; wird sie gerade gepresst, wird der Rest dieser Pressung nicht als Pressung gespeichert: ihre Messzeilen bleiben wie die einer leeren Presse; ein Endschalter oder Druckkanal zeigt es
+scans-behind-others = Presse { $press }: der andere Rekorder hat seit { SPAN($seconds) } nichts geschrieben; was hier wartete, wird hinter seinen Messzeilen gespeichert
 scans-left-out = Presse { $press }: { $count ->
         [one] eine Messzeile
        *[other] { $count } Messzeilen

@@ -441,6 +441,7 @@ recording-now = recording { $presses }
 run-interrupted = run { $run } was interrupted; its data are kept
 scans-begin = press { $press }: scans begin
 scans-begin-late = press { $press }: recording begins with a panel that is hot already; if it is being pressed, the rest of that pressing is not stored as a run: its scans are kept like those of an idle press; a limit switch or pressure channel shows it
+scans-behind-others = press { $press }: the other recorder has written nothing for { SPAN($seconds) }; what waited here is stored behind its scans
 scans-left-out = press { $press }: { $count ->
         [one] one scan
        *[other] { $count } scans

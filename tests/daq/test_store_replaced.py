@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -186,6 +187,35 @@ def test_a_server_that_took_over_without_the_newest_scans_is_told_with_their_num
         assert numbers(store) == [*range(20), *range(30, 40)]
     (alarm,) = told(notes)
     assert "scans 20 to 29 of press lab" in alarm
+
+
+def test_what_waits_behind_another_recorder_s_scans_follows_once_that_one_has_ended(
+    postgresql_url, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(outbox_module, "STALLED_S", 0.5)
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path)
+        for n in range(10):
+            store.append_scans(key, [batch(key, n).scans[0]])
+        for one in pressing(key, 0, 9):
+            others = tuple(replace(scan, monotonic_s=scan.monotonic_s + 5e3) for scan in one.scans)
+            outbox.put(replace(one, scans=others))
+        wait_until(lambda: told(notes))
+        for n in range(10, 20):
+            store.append_scans(key, [batch(key, n).scans[0]])
+            time.sleep(0.1)
+        assert outbox.behind  # while the other one records, this one waits
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert [scan.monotonic_s > 5e3 for scan in store.scans_after("lab", -1, 99).scans] == [False] * 20 + [
+            True
+        ] * 10
+        run = store.run_record("lab-0")
+        assert (run.status, run.first_scan, run.last_scan) == (RunStatus.CLOSED, 20, 29)
+        assert any("stop one of them" in alarm for alarm in told(notes))
+        assert any(level == "warning" and "behind its scans" in text for level, text in notes.journalled)
+    assert not list(tmp_path.glob("*set-aside*"))
 
 
 def moved(key, kind, number):
