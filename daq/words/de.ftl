@@ -460,6 +460,7 @@ store-trouble = { $why } ({ $count } warten)
 
 ## daq.store: the store
 
+archive-clock-ahead = { $press }: die Uhr geht { $days } Tage nach der Nacht davor; keine archivierten Messzeilen werden gelöscht, bis nach dieser Uhr einen Monat lang Nächte waren; die Uhr prüfen und, wenn sie falsch geht, stellen
 archive-file-damaged = Archivdatei { $file }: nicht mehr, was geschrieben wurde; sie aus einer Sicherung des Archivs zurückholen
 archive-file-mended = die Archivdatei der Pressung { $run } ist wieder heil
 archive-file-missing = Archivdatei { $file }: fehlt; sie aus einer Sicherung des Archivs zurückholen oder ihren Datenträger einhängen

@@ -460,6 +460,7 @@ store-trouble = { $why } ({ $count } waiting)
 
 ## daq.store: the store
 
+archive-clock-ahead = { $press }: the clock is { $days } days past the night before; no archived scans are deleted until nights have come for a month by this clock; check the clock, and correct it if it is wrong
 archive-file-damaged = archive file { $file }: no longer what was written; copy it back from a backup of the archive
 archive-file-mended = the archive file of run { $run } is sound again
 archive-file-missing = archive file { $file }: missing; copy it back from a backup of the archive, or mount the disk it is on

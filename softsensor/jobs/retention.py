@@ -8,11 +8,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from daq.records import InputError
-from daq.store import Store, StoreUnavailable
+from daq.store import Store, StoreUnavailable, every
 from daq.words import Message, say, spoken
 from softsensor.jobs.run_reader import PROCESS
 
@@ -109,9 +110,29 @@ def _check(store: Store, press: str, rules: Rules, now: datetime, deadline: floa
             return
 
 
+def _clock_agrees(store: Store, press: str, now: datetime) -> bool:
+    """Return whether nights have come as long as files stay unread: what is given up does not come back.
+
+    By a clock that has run ahead, everything is old; until it is believed, somebody has had that long to see it.
+    """
+    nights = every(lambda cursor: store.nights(press=press, cursor=cursor))
+    newest = next(nights, None)
+    if newest is None:
+        return False
+    if newest.ended_utc < now - 2 * CHECKED_EVERY:
+        days = (now - newest.ended_utc) / timedelta(days=1)
+        store.log("alarm", PROCESS, say("archive-clock-ahead", press=press, days=round(days)), press)
+        return False
+    past = (night.ended_utc for night in chain([newest], nights))
+    before = next((ended for ended in past if ended <= now - CHECKED_EVERY), None)
+    return before is not None and before > now - 2 * CHECKED_EVERY
+
+
 def _give_up(store: Store, press: str, rules: Rules, now: datetime, deadline: float) -> OldScans:
     kept = OldScans()
-    while rules.pressings_only_after is not None and time.monotonic() < deadline:
+    if rules.pressings_only_after is None or not _clock_agrees(store, press, now):
+        return kept
+    while time.monotonic() < deadline:
         runs, _ = store.remove_archived(press, now - rules.pressings_only_after)
         if not runs:
             break

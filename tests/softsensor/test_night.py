@@ -23,7 +23,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import Store, StoreUnavailable, archive, open_store, process_lock
 from daq.store.proved_file import sound_content
-from daq.store.schema import RUN, SCAN
+from daq.store.schema import NIGHT, RUN, SCAN
 from daq.supervision import unexpected
 from daq.words import say
 from daq.words.message import words
@@ -1069,11 +1069,32 @@ def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, 
     for run, fit in before.items():
         assert store.fit(run)["coefficients"] == json.loads(json.dumps(fit))["coefficients"]
     last = replace(rules, pressings_only_after=timedelta(days=365))
+    refit_kept(store, last)
+    assert store.nights(press="lab").items[0].night["pressings_only"] == 0  # nights have not come for a month
+    with store.database.writing() as connection:
+        earlier = datetime.now(UTC) - timedelta(days=31)
+        connection.execute(update(NIGHT).values(ended_unix_s=earlier.timestamp()))
+    refit_kept(store, rules)
     assert refit_kept(store, last).archive is not None
     assert store.nights(press="lab").items[0].night["pressings_only"] == 2
     store.annotate_run(runs[0].name, {"panel.density_kg_m3": 700.0}, "tester")
     assert refit_kept(store, last).failed == 0
     assert set(store.fits(list(before))) == set(before)
+
+
+def test_a_clock_that_runs_ahead_gives_up_no_scans(store, runs, tmp_path, judging_nothing):
+    fill(
+        store,
+        [replace(runs[0], header={**runs[0].header, "recorded.started_utc": datetime(2026, 1, 1, tzinfo=UTC)})],
+    )
+    rules = Rules(tmp_path / "archive", timedelta(days=90), timedelta(days=3650), 600.0, datetime.now(UTC))
+    refit_kept(store, rules)
+    now = datetime.now(UTC)
+    ahead = keep_house(store, "lab", rules, now + timedelta(days=30 * 365))
+    assert ahead.pressings_only == 0
+    [entry] = store.journal(press="lab", level="alarm").items
+    assert "the clock is 10950 days past the night before" in str(entry.message)
+    assert len(store.load_run(runs[0].name).time_s) == len(runs[0].time_s)
 
 
 def test_a_file_that_is_not_sound_is_read_once_a_night_whatever_presses_share_the_archive(
