@@ -277,7 +277,7 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
     """Open a run, under the next free name where its own is taken; one that is there already stays as it is."""
     same = (
         RUN.c.press_id == key.press_id,
-        RUN.c.first_scan == new.first_scan,
+        RUN.c.first_scan >= new.first_scan,  # later where its first scans were lost
         RUN.c.zero_monotonic_s == new.zero_monotonic_s,
     )
     if connection.execute(select(RUN.c.run).where(*same)).first():
@@ -333,11 +333,14 @@ def _next_free(connection: Connection, prefix: str, number: int) -> int:
 
 
 def _end_run(connection: Connection, key: PressKey, end: RunEnd) -> None:
-    """Close a run, also one taken for interrupted meanwhile; an end without its run is an alarm."""
+    """Close a run, also one taken for interrupted meanwhile; an end without its run is an alarm.
+
+    One that lacks its first or last scan is interrupted: it holds those that are there.
+    """
     which = RUN.c.run == end.run
     if end.first_scan is not None:
-        which = and_(RUN.c.press_id == key.press_id, RUN.c.first_scan == end.first_scan)
-    newest = select(RUN.c.run, RUN.c.status).where(which).order_by(RUN.c.run_number.desc())
+        which = and_(RUN.c.press_id == key.press_id, RUN.c.first_scan.between(end.first_scan, end.last_scan))
+    newest = select(RUN.c.run, RUN.c.status, RUN.c.first_scan).where(which).order_by(RUN.c.run_number.desc())
     row = connection.execute(newest).first()
     if row is None:
         log(
@@ -351,11 +354,25 @@ def _end_run(connection: Connection, key: PressKey, end: RunEnd) -> None:
         return
     if row.status == RunStatus.CLOSED.value:
         return
-    connection.execute(
-        update(RUN)
-        .where(RUN.c.run == row.run)
-        .values(status=end.status.value, last_scan=end.last_scan, ended_unix_s=unix_of(end.ended_utc))
-    )
+    ended: dict[str, Any] = {
+        "status": end.status.value,
+        "last_scan": end.last_scan,
+        "ended_unix_s": unix_of(end.ended_utc),
+    }
+    first, last = _ends_there(connection, key.press_id, row.first_scan, end.last_scan)
+    if (first, last) != (row.first_scan, end.last_scan):
+        ended["status"] = RunStatus.INTERRUPTED.value
+        if first is not None:
+            ended |= {"first_scan": first, "last_scan": last}
+    connection.execute(update(RUN).where(RUN.c.run == row.run).values(**ended))
+
+
+def _ends_there(connection: Connection, press_id: int, first: int, last: int) -> tuple[int | None, int | None]:
+    """Return the first and the last of these scans that the store has: others were lost, and reported then."""
+    own = select(SCAN.c.number).where(SCAN.c.press_id == press_id, SCAN.c.number.between(first, last)).limit(1)
+    ends = (own.order_by(SCAN.c.number), own.order_by(SCAN.c.number.desc()))
+    found, until = (connection.execute(end).scalar() for end in ends)
+    return found, until
 
 
 def _header_columns(header: Mapping[str, Any]) -> dict[str, Any]:

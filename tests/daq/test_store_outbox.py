@@ -6,6 +6,7 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import count, islice
 from pathlib import Path
@@ -15,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
-from daq.store import NewRun, RunEnd, StoreUnavailable, open_store
+from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store
+from daq.store import outbox as outbox_module
 from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
 from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
@@ -351,3 +353,24 @@ def test_a_buffered_write_batch_comes_back_as_it_was(reading, moment, note):
     assert decode_item(encode_item(item)) == item
     entry = Entry("warning", "record", say("plain-text", text=note), "lab", {"step_s": 1.0})
     assert decode_item(encode_item(entry)) == entry
+
+
+def test_a_run_whose_first_scans_found_no_room_keeps_the_rest_and_is_backed_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(outbox_module, "_MOST_WAITING", 30)
+    notes = Notes()
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, journal=notes.journal)
+        begins = {3: NewRun("lost", 1, BEGAN, 100.1), 30: NewRun("a", 25, BEGAN, 102.5)}
+        ends = {20: RunEnd("lost", 20, BEGAN, first_scan=1), 95: RunEnd("a", 95, BEGAN, first_scan=25)}
+        for n in range(100):
+            outbox.put(replace(batch(key, n), begin=begins.get(n), end=ends.get(n)))
+        outbox.start()
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        run = store.run_record("a")
+        assert (run.status, run.first_scan, run.last_scan) == (RunStatus.INTERRUPTED, 70, 95)
+        assert len(store.load_run("a").time_s) == 26
+        assert store.run_record("lost").status is RunStatus.INTERRUPTED
+        assert store.back_up(tmp_path / "backup.sqlite").runs == 2
+    assert [level for level, text in notes.journalled if "dropped" in text] == ["alarm"]
