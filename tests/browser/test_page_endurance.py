@@ -94,13 +94,11 @@ def test_what_is_asked_for_again_and_again_waits_for_its_answer(served, view, pa
     page.route("**/api/v1/live", lambda _: None)  # a line that comes back is a reason to ask at once
     page.route(f"**/api/v1/{path}*", lambda one: asked.append(one))  # never answered; one before may be
     askers = 1 + (view == "alarms")  # the bell listens for alarms, too
-    while len(asked) < askers:
+    while elapsed_s < 60 or (len(asked) <= askers and elapsed_s < 600):  # a busy browser takes a moment to give up
         page.clock.run_for(1000)
         page.wait_for_timeout(50)
         elapsed_s += 1
-    page.clock.run_for(60_000)
-    page.evaluate("() => 1")
-    longest = askers * (1 + (elapsed_s + 60) // given_up_after_s)
+    longest = askers * (1 + elapsed_s // given_up_after_s)
     assert askers < len(asked) <= longest  # a line that died unnoticed is no reason to wait for ever
 
 

@@ -114,10 +114,10 @@ def test_a_writer_that_the_store_holds_up_for_longer_than_any_wait_does_not_coun
         outbox = Outbox(store)
         write = store.write_batches
 
-        def stuck(batches, lines=()):
+        def stuck(*batches_and_lines):
             held.set()
             going_on.wait()
-            return write(batches, lines)
+            return write(*batches_and_lines)
 
         monkeypatch.setattr(store, "write_batches", stuck)
         outbox.put(Entry("info", "record", say("plain-text", text="hello")))
