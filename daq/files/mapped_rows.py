@@ -68,6 +68,7 @@ class ForeignRows:
     def __init__(self, path: Path, file: FileTable) -> None:
         self._path, self._file = path, file
         self._delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
+        self._blanks = file.delimiter == "space"  # any number of them, also at the ends
         self._lines = _lines(path, file)
         self.names = next(self._rows(self._lines))
 
@@ -80,7 +81,8 @@ class ForeignRows:
                 while several := list(itertools.islice(rows, _ROWS_AT_ONCE)):
                     yield _cut(several, times, values)
                 return
-            found = None if _MARKED in whole else self._parsed(some, whole, times, values)
+            careful = self._blanks or _MARKED in whole
+            found = None if careful else self._parsed(some, whole, times, values)
             yield found or _cut(list(self._rows(some)), times, values)
 
     def _rows(self, lines: Iterable[Line]) -> Iterator[Row]:
@@ -92,8 +94,7 @@ class ForeignRows:
                 read.append(number)
                 yield text
 
-        blank = self._delimiter == " "
-        reader = csv.reader(texts(), delimiter=self._delimiter, skipinitialspace=blank, strict=True)
+        reader = csv.reader(texts(), delimiter=self._delimiter, skipinitialspace=self._blanks, strict=True)
         while True:
             read.clear()  # a quoted cell may hold several lines
             try:
@@ -104,7 +105,7 @@ class ForeignRows:
                 raise InputError(
                     at(self._path, say("run-quotation", reason=reason_of(error)), line=read[0])
                 ) from error
-            yield self._complete(Row(read[0], [cell for cell in cells if cell] if blank else cells))
+            yield self._complete(Row(read[0], [cell for cell in cells if cell] if self._blanks else cells))
 
     def _complete(self, row: Row) -> Row:
         """Return the row; refuse one that has too few cells for the names."""

@@ -640,6 +640,19 @@ def test_a_file_has_the_numbers_and_the_faults_of_the_same_with_quotation_marks(
     assert read("") == read('"')
 
 
+def test_blanks_that_part_columns_may_be_several_and_leave_no_column_empty(tmp_path):
+    table = '[file]\ndelimiter = "space"\n[time]\ncolumn = "t"\n'
+    mapping = _mapping(
+        tmp_path, table + '[[column]]\nfrom = "a"\nto = "top_1"\n[[column]]\nfrom = "b"\nto = "top_2"\n'
+    )
+    (tmp_path / "a.txt").write_text(" t   a    b\n 0  21.5  9.0 \n 10 121.5 19.0\n")
+    run = read_foreign(tmp_path / "a.txt", mapping)
+    assert [run.columns[name].tolist() for name in ("top_1", "top_2")] == [[21.5, 121.5], [9.0, 19.0]]
+    (tmp_path / "a.txt").write_text("t a b\n0 21.5 9.0\n10  21.5\n")
+    with pytest.raises(InputError, match="line 3: 2 cells"):
+        read_foreign(tmp_path / "a.txt", mapping)
+
+
 @given(st.lists(st.floats(-1e9, 1e9) | st.integers(-(10**6), 10**6).map(lambda n: n / 2e9) | st.just(np.nan)))
 def test_temperatures_are_rounded_as_python_rounds_them(values):
     assert repr(_rounded(np.array(values, float)).tolist()) == repr([round(float(v), 9) for v in values])
