@@ -8,7 +8,6 @@ from __future__ import annotations
 import codecs
 import csv
 import itertools
-import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -138,7 +137,7 @@ class ForeignRows:
             return None
         texts = {place: list(map(str.strip, table[str(place)].to_pylist())) for place in times}
         found = {place: texts[place] if place in texts else _numbers(table[str(place)]) for place in values}
-        missing = [value for text in self._file.missing if math.isfinite(value := number_in(text) or math.nan)]
+        missing = [value for value in map(number_in, self._file.missing) if value is not None]
         if missing and any(np.isin(column, missing).any() for column in found.values()):
             return None  # with a blank beside it, it is not seen as missing
         moments = map(" ".join, zip(*texts.values(), strict=True))

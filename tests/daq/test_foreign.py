@@ -604,7 +604,7 @@ def test_of_several_faults_in_a_file_the_first_is_named(tmp_path, changes, messa
 CELLS = st.sampled_from([
     "21.5", "1e5", "+3", " 7 ", "", "NaN", "nan", "-", "---", "1,5", "1.5", "1.234,5", "1_0", "inf", "-Infinity",
     "1e999", "nan(1)", "0x10", "-999", " -999", "-999.0", "-300", ".5", "5.", "٣", "1d3", "1 2",
-    "4\N{NO-BREAK SPACE}", "-0.0", "0.5\t",
+    "4\N{NO-BREAK SPACE}", "-0.0", " 0", "0", "0.5\t",
 ])  # fmt: skip
 
 
@@ -612,7 +612,7 @@ CELLS = st.sampled_from([
     rows=st.lists(st.tuples(CELLS, CELLS), min_size=1, max_size=4),
     times=st.sampled_from([["0", "1", "2", "3"], ["0", "1", "1", "3"], [" 0", "0.5 ", "nan", "3"]]),
     decimal=st.sampled_from([".", ","]),
-    missing=st.sampled_from([["", "NaN"], ["---", "-999"], []]),
+    missing=st.sampled_from([["", "NaN"], ["---", "-999"], ["0"], []]),
     repeated=st.sampled_from(["first", "refuse"]),
     unit=st.sampled_from(["K", "C", ""]),
 )
@@ -651,6 +651,14 @@ def test_blanks_that_part_columns_may_be_several_and_leave_no_column_empty(tmp_p
     (tmp_path / "a.txt").write_text("t a b\n0 21.5 9.0\n10  21.5\n")
     with pytest.raises(InputError, match="line 3: 2 cells"):
         read_foreign(tmp_path / "a.txt", mapping)
+
+
+def test_a_number_that_says_missing_does_so_with_a_blank_beside_it(tmp_path):
+    table = '[file]\nmissing = ["0"]\n[time]\ncolumn = "t"\n'
+    mapping = _mapping(tmp_path, table + '[[column]]\nfrom = "a"\nto = "top_1"\n')
+    (tmp_path / "a.csv").write_text("t,a\n1,21.5\n2, 0\n3,0\n4,0.0\n")
+    found = read_foreign(tmp_path / "a.csv", mapping).columns["top_1"]
+    np.testing.assert_array_equal(found, [21.5, np.nan, np.nan, 0.0])
 
 
 @given(st.lists(st.floats(-1e9, 1e9) | st.integers(-(10**6), 10**6).map(lambda n: n / 2e9) | st.just(np.nan)))
