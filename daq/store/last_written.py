@@ -23,16 +23,16 @@ class LastWritten:
         return LastWritten(max([self.scan, *(scan.number for scan in batch.scans)]), run)
 
 
-class WrittenSoFar(Mapping[int, LastWritten]):
-    """What was written of each press, by its number in the store."""
+class WrittenSoFar(Mapping[str, LastWritten]):
+    """What was written of each press, by its name."""
 
     def __init__(self) -> None:
-        self._last: dict[int, LastWritten] = {}
+        self._last: dict[str, LastWritten] = {}
 
-    def __getitem__(self, press_id: int) -> LastWritten:
-        return self._last[press_id]
+    def __getitem__(self, press: str) -> LastWritten:
+        return self._last[press]
 
-    def __iter__(self) -> Iterator[int]:
+    def __iter__(self) -> Iterator[str]:
         return iter(self._last)
 
     def __len__(self) -> int:
@@ -41,22 +41,22 @@ class WrittenSoFar(Mapping[int, LastWritten]):
     def add(self, batches: Iterable[WriteBatch]) -> None:
         """Note what was written now."""
         for batch in batches:
-            press_id = batch.key.press_id
-            self._last[press_id] = self._last.get(press_id, LastWritten(-1)).with_batch(batch)
+            press = batch.key.name
+            self._last[press] = self._last.get(press, LastWritten(-1)).with_batch(batch)
 
     def ends_before(self, batch: WriteBatch) -> None:
         """Note that the store should have all that came before a batch with scans, and perhaps no more."""
-        last = self._last.get(batch.key.press_id, LastWritten(-1))
-        self._last[batch.key.press_id] = replace(last, scan=batch.scans[0].number - 1)
+        last = self._last.get(batch.key.name, LastWritten(-1))
+        self._last[batch.key.name] = replace(last, scan=batch.scans[0].number - 1)
 
-    def forget(self, press_id: int) -> None:
+    def forget(self, press: str) -> None:
         """Know nothing of a press any more."""
-        self._last.pop(press_id, None)
+        self._last.pop(press, None)
 
-    def lacking(self, there: Mapping[int, int]) -> Iterator[tuple[int, range]]:
+    def lacking(self, there: Mapping[str, int]) -> Iterator[tuple[str, range]]:
         """Yield by press which scans were written and are not there, for the newest of each that was there."""
-        for press_id, newest in there.items():
-            lost = range(newest + 1, self._last.get(press_id, LastWritten(-1)).scan + 1)
+        for press, newest in there.items():
+            lost = range(newest + 1, self._last.get(press, LastWritten(-1)).scan + 1)
             if lost:
-                yield press_id, lost
-                self._last[press_id] = replace(self._last[press_id], scan=newest)
+                yield press, lost
+                self._last[press] = replace(self._last[press], scan=newest)

@@ -69,7 +69,7 @@ class Outbox:
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
         self._so_far = WrittenSoFar()
-        self._others: dict[int, tuple[int, float]] = {}
+        self._others: dict[str, tuple[int, float]] = {}
         """By press the newest scan of another recorder that is in the way, and since when it has been that one."""
         self._per_second = per_second
         self._gather_s = gather_s
@@ -282,7 +282,7 @@ class Outbox:
         reason = spoken(error) if foreseen else unexpected(error)
         if not foreseen:
             self._thread.failed(error)
-        if not self.trouble:
+        if not self.trouble and not isinstance(error, PressGone):  # which is journalled already
             self._journal("alarm", say("scans-wait", why=reason, where=self.capacity))
         self.trouble = reason
         self._retry_at = time.monotonic() + self._retry_s
@@ -345,30 +345,32 @@ class Outbox:
         try:
             there = self._store.write_batches(batches, lines, self._so_far)
         except PressGone as gone:
-            self._placement.forget(gone.press_id)
-            self._so_far.forget(gone.press_id)
+            for key in gone.keys:
+                self._forget(key)
+                self._journal("alarm", say("store-press-gone", store=self._store.label, press=key.name))
             raise
         except NumbersTaken as taken:
-            self._step_behind(taken, next(x.key.name for x in batches if x.key.press_id == taken.press_id))
+            self._step_behind(taken)
             raise
-        names = {batch.key.press_id: batch.key.name for batch in batches}
-        for press_id, lost in self._so_far.lacking(there):
+        for press, lost in self._so_far.lacking(there):
             numbers = {"first": lost[0], "last": lost[-1]}
-            self._journal(
-                "alarm", say("store-went-back", store=self._store.label, press=names[press_id], **numbers)
-            )
+            self._journal("alarm", say("store-went-back", store=self._store.label, press=press, **numbers))
         self._so_far.add(batches)
 
-    def _step_behind(self, taken: NumbersTaken, press: str) -> None:
+    def _forget(self, key: PressKey) -> None:
+        """Have what belongs to a press placed again: where it was is no place for it any more."""
+        self._placement.forget(key)
+        self._so_far.forget(key.name)
+
+    def _step_behind(self, taken: NumbersTaken) -> None:
         """Have what waits placed behind another recorder's scans, once that one has written none for a while."""
-        now_s = time.monotonic()
-        newest, since_s = self._others.get(taken.press_id, (-1, now_s))
+        now_s, press = time.monotonic(), taken.key.name
+        newest, since_s = self._others.get(press, (-1, now_s))
         if taken.newest != newest:
-            self._others[taken.press_id] = taken.newest, now_s
+            self._others[press] = taken.newest, now_s
         elif now_s - since_s > STALLED_S:
-            del self._others[taken.press_id]
-            self._placement.forget(taken.press_id)
-            self._so_far.forget(taken.press_id)
+            del self._others[press]
+            self._forget(taken.key)
             self._journal("warning", say("scans-behind-others", press=press, seconds=now_s - since_s))
 
     def _acknowledge(self, items: Sequence[WriteBatch | Entry]) -> None:
@@ -420,7 +422,7 @@ class Outbox:
         for item in items:
             if isinstance(item, Entry) or not item.scans or self._placement.is_moved(item.key):
                 continue
-            if item.key.press_id not in self._so_far:
+            if item.key.name not in self._so_far:
                 self._so_far.ends_before(item)
 
 

@@ -183,38 +183,37 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def newest_of(connection: Connection, keys: Iterable[PressKey], store: str) -> dict[int, int]:
-    """Return the number of the newest scan the store has of each press, -1 without one.
+def newest_of(connection: Connection, keys: Iterable[PressKey], store: str) -> dict[str, int]:
+    """Return the number of the newest scan the store has of each press, by its name; -1 without one.
 
-    Raises `PressGone` for a press it does not have under that number and name. `store` is for its message.
+    Raises `PressGone` for those it does not have under that number and name: it may have another press under the
+    number. `store` is for its message.
     """
-    names = {key.press_id: key.name for key in keys}
-    if not names:
+    asked_for = list(dict.fromkeys(keys))
+    if not asked_for:
         return {}
     newest = select(func.max(SCAN.c.number)).where(SCAN.c.press_id == PRESS.c.press_id).scalar_subquery()
-    asked = select(PRESS.c.press_id, PRESS.c.name, newest.label("newest")).where(PRESS.c.press_id.in_(names))
+    numbers = {key.press_id for key in asked_for}
+    asked = select(PRESS.c.press_id, PRESS.c.name, newest.label("newest")).where(PRESS.c.press_id.in_(numbers))
     rows = {int(row.press_id): row for row in connection.execute(asked)}
-    for press_id, name in names.items():
-        if press_id not in rows or rows[press_id].name != name:
-            raise PressGone(say("store-press-gone", store=store, press=name), press_id)
-    return {press_id: -1 if row.newest is None else int(row.newest) for press_id, row in rows.items()}
+    gone = [key for key in asked_for if key.press_id not in rows or rows[key.press_id].name != key.name]
+    if gone:
+        raise PressGone(say("store-press-gone", store=store, press=gone[0].name), gone)
+    return {row.name: -1 if row.newest is None else int(row.newest) for row in rows.values()}
 
 
 def end_runs_left_open(
-    connection: Connection,
-    newest: Mapping[int, int],
-    so_far: Mapping[int, LastWritten],
-    presses: Mapping[int, str],
+    connection: Connection, newest: Mapping[str, int], so_far: Mapping[str, LastWritten]
 ) -> None:
     """Have runs interrupted that an older state of the store shows open, but for the one under way.
 
     Their ends are lost, and what moves the press now belongs to another panel.
     """
-    for press_id, name in presses.items():
-        last = so_far.get(press_id)
-        if last is not None and last.scan > newest[press_id]:
-            for run in interrupt_open_runs(connection, name, under_way=last.run):
-                log(connection, "warning", PROCESS, say("run-interrupted", run=run), name, None)
+    for press, number in newest.items():
+        last = so_far.get(press)
+        if last is not None and last.scan > number:
+            for run in interrupt_open_runs(connection, press, under_way=last.run):
+                log(connection, "warning", PROCESS, say("run-interrupted", run=run), press, None)
 
 
 def append(
@@ -270,7 +269,7 @@ def _append_unless_there(connection: Connection, key: PressKey, rows: list[dict[
         elif there["monotonic_s"] != row["monotonic_s"] or there["readings"] != row["readings"]:
             newest = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == key.press_id))
             taken = say("store-scan-taken", press=key.name, scan=row["number"])
-            raise NumbersTaken(taken, key.press_id, int(newest.scalar_one()))
+            raise NumbersTaken(taken, key, int(newest.scalar_one()))
 
 
 def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_s: float) -> None:

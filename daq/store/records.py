@@ -23,19 +23,19 @@ class NotAStore(StoreUnavailable):
 
 
 class PressGone(StoreUnavailable):
-    """The store is another one than was written to before: it does not have the press. The text says so."""
+    """The store is another one than was written to before: it does not have the presses. The text names one."""
 
-    def __init__(self, what: Message, press_id: int) -> None:
+    def __init__(self, what: Message, keys: Sequence[PressKey]) -> None:
         super().__init__(what)
-        self.press_id = press_id
+        self.keys = keys
 
 
 class NumbersTaken(StoreUnavailable):
     """Another recorder has written other scans of a press under the same numbers. The text says so."""
 
-    def __init__(self, what: Message, press_id: int, newest: int) -> None:
+    def __init__(self, what: Message, key: PressKey, newest: int) -> None:
         super().__init__(what)
-        self.press_id = press_id
+        self.key = key
         self.newest = newest
         """The newest scan of the press in the store."""
 

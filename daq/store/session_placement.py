@@ -28,7 +28,8 @@ Notes = MutableMapping[int, dict[str, Any]]
 def session_key(notes: Notes, press: str, channels: Sequence[Channel], press_file: str) -> PressKey:
     """Return the key of a new session: scans from 0, their press to be found later."""
     session = min([-time.time_ns(), *(known - 1 for known in notes)])  # a clock stands, or is set back
-    notes[session] = {"channels": [[c.name, c.unit] for c in channels], "press_file": press_file}
+    layout = [[c.name, c.unit] for c in channels]
+    notes[session] = {"press": press, "channels": layout, "press_file": press_file}
     return PressKey(session, press, 0, tuple(channels), 0)
 
 
@@ -55,14 +56,19 @@ class SessionPlacement:
         """Whether this is the first batch of a session: all before it must be written before it is placed."""
         return self.is_moved(batch.key) and "press_id" not in self._note(batch.key)
 
-    def forget(self, press_id: int) -> None:
-        """Have whatever belonged to a press that the store does not have any more placed again."""
-        sessions = [key for key, note in self._notes.items() if note.get("press_id") == press_id]
+    def forget(self, gone: PressKey) -> None:
+        """Have whatever belonged to a press that the store does not have any more placed again.
+
+        Another press may have been placed where this one was.
+        """
+        press_id, press = gone.press_id, gone.name
+        placed = [key for key, note in self._notes.items() if note.get("press_id") == press_id]
+        sessions = [key for key in placed if self._notes[key].get("press", press) == press]
         for session in sessions:
-            kept = {name: self._notes[session][name] for name in ("channels", "press_file")}
-            self._notes[session] = kept
+            note = self._notes[session]
+            self._notes[session] = {k: v for k, v in note.items() if k not in ("press_id", "shift")}
         if not sessions:
-            self._notes[press_id] = {"channels": None, "press_file": ""}
+            self._notes[press_id] = {"press": press, "channels": None, "press_file": ""}
 
     def is_moved(self, key: PressKey) -> bool:
         """Whether what has this key gets press and numbers of another one."""
@@ -83,7 +89,8 @@ class SessionPlacement:
 
     def _note(self, key: PressKey) -> dict[str, Any]:
         """Return what is known of a session; one whose note a damaged buffer lost begins anew."""
-        unknown = {"channels": [[c.name, c.unit] for c in key.channels], "press_file": ""}
+        layout = [[c.name, c.unit] for c in key.channels]
+        unknown = {"press": key.name, "channels": layout, "press_file": ""}
         return self._notes.get(key.press_id, unknown)
 
     def moved(self, batch: WriteBatch) -> WriteBatch:

@@ -128,8 +128,8 @@ class Store:
         self,
         batches: Sequence[WriteBatch],
         lines: Sequence[Entry] = (),
-        so_far: Mapping[int, LastWritten] | None = None,
-    ) -> dict[int, int]:
+        so_far: Mapping[str, LastWritten] | None = None,
+    ) -> dict[str, int]:
         """Write several batches of `append_scans` and journal lines in one commit.
 
         In a store that lacks what was written `so_far`, runs that are open without being the one under way are
@@ -141,8 +141,7 @@ class Store:
         with self.database.writing() as connection:
             self.database.check_whole(connection)
             newest = recording.newest_of(connection, (p.key for p in batches), self.label)
-            names = {p.key.press_id: p.key.name for p in batches}
-            recording.end_runs_left_open(connection, newest, so_far or {}, names)
+            recording.end_runs_left_open(connection, newest, so_far or {})
             keys = recording.with_layouts(connection, (p.key for p in batches))
             for p in in_rows(batches):
                 recording.append(connection, keys[p.key], p.scans, p.events, p.begin, p.end)

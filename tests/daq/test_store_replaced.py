@@ -128,6 +128,40 @@ def test_a_store_without_the_press_takes_it_again_and_recording_goes_on_there(po
     assert not list(tmp_path.glob("*set-aside*"))
 
 
+@pytest.mark.parametrize("order", [("hall", "lab"), ("lab", "hall")], ids=["hall first", "lab first"])
+@pytest.mark.parametrize("away", [False, True], ids=["at once", "after an outage"])
+def test_presses_whose_numbers_another_store_has_exchanged_get_their_own_scans(
+    postgresql_url, tmp_path, order, away
+):
+    first = {"lab": 0, "hall": 1000}
+    with open_store(postgresql_url) as store:
+        keys = {press: store.register_press(press, CHANNELS) for press in ("lab", "hall")}
+        outbox, notes = started(store, tmp_path)
+        for press in order:
+            outbox.put(batch(keys[press], first[press]))
+        wait_until(lambda: outbox.written == 2 and outbox.waiting == 0)
+        with restoring(postgresql_url) as other:
+            for press in ("hall", "lab"):
+                other.register_press(press, CHANNELS)
+            if away:
+                server(postgresql_url, "ALTER TABLE press RENAME TO elsewhere")
+                outbox.beat("record", {"x": 1})
+            outbox.put(batch(keys[order[0]], first[order[0]] + 1))
+            if away:
+                wait_until(lambda: outbox.trouble)
+        more = [*order, order[0]]
+        for n, press in enumerate(more, 2):
+            outbox.put(batch(keys[press], first[press] + n))
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        own = {press: [scan.number for scan in store.scans_after(press, -1, 9).scans] for press in order}
+    assert own[order[0]][-2:] == [first[order[0]] + 2, first[order[0]] + 4]
+    assert own[order[1]] == [first[order[1]] + 3]
+    for press in order:
+        assert any(f"press {press} is not in it any more" in alarm for alarm in told(notes))
+    assert not any("has gone back" in alarm for alarm in told(notes))
+
+
 @pytest.mark.parametrize(
     ("refusing", "taking", "words"),
     [
