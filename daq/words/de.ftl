@@ -1225,6 +1225,7 @@ advise-source-sorption = die Isotherme der Platte (ein Sorptionsversuch)
 advise-steam-without-moisture = eine Grenze für Dampf braucht die Feuchte der Platte; { $key } bei der Platte angeben oder steam_most_kPa aus den Grenzen nehmen
 plan-best = Am besten: { $settings }. { $prospect }
 plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
+plan-heading = Die nächsten Pressungen, die am meisten bringen
 plan-narrows-factor = Eine Pressung bringt es auf einen Faktor { NUMBER($factor, maximumFractionDigits: 2) }; { $runs }.
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-not-described = Das Modell beschreibt diese Pressungen nicht; was eine weitere Pressung brächte, ist nicht vorherzusagen.

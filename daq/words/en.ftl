@@ -1208,6 +1208,7 @@ advise-source-sorption = the board's isotherm (a sorption test)
 advise-steam-without-moisture = a limit of steam needs the panel's moisture; add { $key } to the panel, or take steam_most_kPa out of the limits
 plan-best = Best: { $settings }. { $prospect }
 plan-best-is-usual = Best: the usual settings. { $prospect }
+plan-heading = The next pressings worth most
 plan-narrows-factor = One brings it to a factor of { NUMBER($factor, maximumFractionDigits: 2) }; { $runs }.
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-not-described = The model does not describe these runs, so what a further pressing would bring cannot be forecast.

@@ -14,8 +14,6 @@ import numpy as np
 from daq.press.header import panel_of
 from daq.records import Array
 from daq.words import Argument, Message, say
-from daq.words.message import words
-from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import EXCESS, FEW_RUNS, Remains, Verdict, pattern_left
 from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
@@ -262,15 +260,6 @@ def worth(found: Diagnosis, finding: Finding) -> Message:
         return say("worth-hardly-without-panel", moved=moved, **hardly)
     core = say("worth-core", at=_moment(_opens(more)), **_shift(core_cost(less, more).kelvin))
     return say("worth-hardly", moved=moved, core=core, **hardly)
-
-
-def as_stored(found: Diagnosis) -> dict[str, Any]:
-    """Return the JSON with curves and what each cause is worth, for the pages that show a stored diagnosis."""
-    content = found.as_json() | {"curves": curves_of(found)}
-    for entry, finding in zip(content["effects"], found.findings, strict=True):
-        message = worth(found, finding)
-        entry |= {"worth": words(message), "worth_said": message.to_json()}
-    return content
 
 
 def _moved(less: SettledModel, more: SettledModel) -> Message:

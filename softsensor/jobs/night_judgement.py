@@ -161,11 +161,12 @@ def _diagnose(night: NightBasis, runs: Sequence[str]) -> tuple[dict[str, Any], M
     Returns the report, the extended model, and causes it would name that the bets over all nights hold back.
     """
     from softsensor.diagnosis.extended_model import model_of
-    from softsensor.diagnosis.summary import as_stored
     from softsensor.diagnosis.verdict import diagnose
+    from softsensor.jobs.stored_diagnosis import stored_diagnosis
 
     found = diagnose(night.press, night.runs(runs))
     in_force = [name for name, _ in night.base.effects] if night.base is not None else []
     unsure = [] if night.sure else unsure_causes(found, in_force)
     found = held_back(found) if unsure else found
-    return {**as_stored(found), "predicted_gain_ci95": found.predicted_gain.ci95}, model_of(found.final), unsure
+    report = stored_diagnosis(night.press, found) | {"predicted_gain_ci95": found.predicted_gain.ci95}
+    return report, model_of(found.final), unsure

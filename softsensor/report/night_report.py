@@ -151,6 +151,8 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
     return {
         "verdict": Message(f"diagnosis-verdict-{diagnosis['verdict']}"),
         "next": _sentence(diagnosis, "next_measurement"),
+        "law": [_sentence(one, "sentence") for one in diagnosis.get("law_sentences", ())],
+        "plan": _planned(diagnosis.get("plan")),
         "effects": [
             {
                 "name": say("list-of-names", names=tuple(called(n) for n in e["set"])),
@@ -160,6 +162,18 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
             for e in diagnosis.get("effects", ())
         ],
     }
+
+
+def _planned(plan: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """Return what is open with its pressings in words; a version before 2026-11-30 stored no plan."""
+    points = (plan or {}).get("open", ())
+    return [
+        {
+            "point": _sentence(point, "sentence"),
+            "pressings": [_sentence(one, "sentence") for one in point["pressings"]],
+        }
+        for point in points
+    ]
 
 
 def _sentence(content: Mapping[str, Any], key: str) -> Message | str:

@@ -77,6 +77,34 @@ DIAGNOSIS = {
     "next_measurement_said": say("effect-moisture_evaporation-confirmed-by").to_json(),
     "curves": CURVES,
 }
+LAW = {
+    "kind": "heat",
+    "variable": "temperature_C",
+    "curve": [[80.0, 0.0, -40.0, 40.0], [100.0, 900.0, 700.0, 1100.0], [120.0, 20.0, -60.0, 100.0]],
+    "unit": "kJ/m3K",
+    "heldout_gain_K": 0.84,
+    "heldout_gain_ci95": [0.5, 1.1],
+    "set": ["heat"],
+    "resembles": "moisture_evaporation",
+}
+LAW_SENTENCE = say("law-resembles", cause=Message("effect-moisture_evaporation-called"))
+PROSPECT = say("plan-settles", percent=64.0, runs=say("plan-runs", runs=2))
+BEST = say("plan-best", settings=(say("plan-set-press_time_s", value=165.0),), prospect=PROSPECT)
+OPEN = say("plan-open-suspected", causes=(Message("effect-resin_cure-called"),))
+
+
+def sentence(message: Message) -> dict[str, Any]:
+    """Return a sentence as the store keeps it."""
+    return {"sentence": words(message), "sentence_said": message.to_json()}
+
+
+BEYOND = {
+    "verdict": "unknown_effect",
+    "effects": [],
+    "law": LAW,
+    "law_sentences": [sentence(LAW_SENTENCE)],
+    "plan": {"open": [sentence(OPEN) | {"pressings": [sentence(BEST)]}], "sentences": []},
+}
 NIGHT_BEGAN = datetime(2026, 3, 5, 1, 0, tzinfo=UTC)
 NIGHT = {
     "runs": 1204,
@@ -382,6 +410,35 @@ def test_causes_that_are_not_told_apart_are_one_line_and_a_longer_bar_of_another
     expect(page.locator("p.verdict")).to_have_text(headline)
     expect(page.locator(".bars + p")).to_contain_text(longest)
     page.screenshot(path=tmp_path / "diagnosis.png", full_page=True)
+    page.close()
+
+
+@pytest.mark.parametrize(
+    ("locale", "law", "best"),
+    [
+        ("en-GB", "agrees with the curve of a known cause: evaporating moisture", "press time 165 s"),
+        ("de-DE", "mit der Kurve einer bekannten Ursache", "Presszeit 165 s"),
+    ],
+)
+def test_a_law_without_a_name_and_the_pressings_that_would_decide_are_shown(
+    plant, served, browser, locale, law, best, tmp_path
+):
+    address = plant[0]
+    page = browser.new_page(locale=locale)
+    page.goto(address + "#/diagnosis")
+    expect(page.get_by_test_id("diagnosis")).to_be_visible()
+    expect(page.get_by_test_id("law")).to_have_count(0)  # an earlier version's diagnosis has neither
+    expect(page.get_by_test_id("plan")).to_have_count(0)
+    served[1].store.put_diagnosis("lab", DIAGNOSIS | BEYOND)
+    page.reload()
+    expect(page.get_by_test_id("law")).to_contain_text(law)
+    chart = page.get_by_test_id("law").locator(".chart")
+    tip_says(chart, r"kJ/m³K \(.* … ")
+    expect(page.get_by_test_id("plan")).to_contain_text(best)
+    expect(page.get_by_test_id("plan")).to_contain_text("64")
+    page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8"))
+    assert violations(page) == []
+    page.screenshot(path=tmp_path / "beyond.png", full_page=True)
     page.close()
 
 

@@ -60,7 +60,7 @@ from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candi
 from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, run_errors, settle, settle_base
 from softsensor.diagnosis.sign_flips import MANY, Pocket, likelihood_p, max_t, pattern_test, sign_patterns
-from softsensor.diagnosis.summary import as_stored, core_messages, sureness, verdict_messages, worth
+from softsensor.diagnosis.summary import core_messages, sureness, verdict_messages, worth
 from softsensor.diagnosis.unseen import never_seen
 from softsensor.diagnosis.verdict import _lacking_loads, _screened, diagnose
 from softsensor.diagnosis.where import stretches, where_row
@@ -70,6 +70,8 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_reading import parse_model
 from softsensor.heat.timing import OPENING_RAMP, OPENING_RAMP_S
 from softsensor.jobs.night_sure import held_back
+from softsensor.jobs.stored_diagnosis import stored_diagnosis
+from softsensor.planning.plan import plan
 from softsensor.report.diagnosis_figures import residual_figure
 from softsensor.report.diagnosis_report import diagnosis_report
 from softsensor.signals.digest import Digest, MeanNoise, Whitened
@@ -117,7 +119,7 @@ def test_a_rim_loss_is_named_and_its_size_found() -> None:
 
 def test_a_name_that_the_nights_are_not_sure_of_is_only_suspected() -> None:
     held = held_back(diagnosed("edge_loss", 501, 7, 0.5))
-    content = json.loads(json.dumps(as_stored(held), allow_nan=False))
+    content = json.loads(json.dumps(stored_diagnosis(press(), held), allow_nan=False))
     assert (content["verdict"], content["effects"]) == ("unknown_effect", [])
     assert [f["name"] for f in content["suspected"]] == ["edge_loss"]
     assert content["extended"] == content["base"]
@@ -174,7 +176,7 @@ def test_the_answer_holds_every_key_of_the_contract_and_is_plain_json() -> None:
 
 def test_a_cause_saves_the_same_in_its_own_table_among_the_candidates_and_in_its_sentence() -> None:
     found = diagnosed("edge_loss", 501, 7, 0.5)
-    content = as_stored(found)
+    content = stored_diagnosis(press(), found)
     (effect,) = content["effects"]
     (row,) = [c for c in content["candidates"] if c["name"] == effect["name"]]
     assert row["heldout_gain_K"] == effect["heldout_gain_K"] == effect["worth_said"]["arguments"]["gain"]
@@ -182,10 +184,23 @@ def test_a_cause_saves_the_same_in_its_own_table_among_the_candidates_and_in_its
 
 
 def test_a_stored_diagnosis_carries_what_a_cause_is_worth_as_a_sentence_and_as_a_code() -> None:
-    (effect,) = as_stored(diagnosed("edge_loss", 501, 7, 0.5))["effects"]
+    (effect,) = stored_diagnosis(press(), diagnosed("edge_loss", 501, 7, 0.5))["effects"]
     assert effect["worth"].startswith("lowers the residual by ")
     assert effect["worth_said"]["code"] == "worth-saves"
     assert words(Message.from_json(effect["worth_said"]), "de").startswith("senkt das Residuum einer typischen ")
+
+
+def test_a_stored_diagnosis_carries_the_next_pressings_as_a_plan_and_in_words() -> None:
+    held = held_back(diagnosed("edge_loss", 501, 7, 0.5))
+    content = json.loads(json.dumps(stored_diagnosis(press(), held), allow_nan=False))
+    ahead = plan(press(), held)
+    assert [point["name"] for point in content["plan"]["open"]] == [a.point.name for a in ahead.points]
+    cause = content["plan"]["open"][0]
+    assert (cause["kind"], cause["causes"]) == ("cause", ["edge_loss", *cause["causes"][1:]])
+    assert cause["sentence"].startswith("Suspected, not proven: heat lost at the rim")
+    assert cause["pressings"][0]["sentence"].startswith("Best: ")
+    assert words(Message.from_json(cause["pressings"][0]["sentence_said"]), "de").startswith("Am besten: ")
+    assert (content["plan"]["sentences"], content["law_sentences"]) == ([], [])
 
 
 def test_the_model_file_carries_the_cause_for_other_commands() -> None:

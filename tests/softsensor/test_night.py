@@ -25,7 +25,7 @@ from daq.store import Store, StoreUnavailable, archive, open_store, process_lock
 from daq.store.proved_file import sound_content
 from daq.store.schema import NIGHT, RUN, SCAN
 from daq.supervision import unexpected
-from daq.words import say
+from daq.words import Message, say
 from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.heat.model_reading import parse_model
@@ -697,6 +697,25 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     assert not re.search(r"\d\.\d", own)
     assert not any(re.search(r"\d\.\d", label) for label in AXIS_LABEL.findall(german))
     assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
+
+
+def test_the_page_of_the_night_has_a_law_without_a_name_and_the_pressings_that_would_decide(store, runs):
+    def kept(message: Message) -> dict[str, object]:
+        return {"sentence": words(message), "sentence_said": message.to_json()}
+
+    fill(store, runs[:1])
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert words(say("plan-heading")) not in night_report(night_record(store, outcome))
+    prospect = say("plan-settles", percent=64.0, runs=say("plan-runs", runs=2))
+    pressing = say("plan-best", settings=(say("plan-set-press_time_s", value=165.0),), prospect=prospect)
+    point = say("plan-open-suspected", causes=(Message("effect-resin_cure-called"),))
+    law = say("law-resembles", cause=Message("effect-moisture_evaporation-called"))
+    plan = {"open": [kept(point) | {"pressings": [kept(pressing)]}], "sentences": []}
+    store.put_diagnosis("lab", RIM | {"law_sentences": [kept(law)], "plan": plan})
+    for language in ("en", "de"):
+        page = night_report(night_record(store, outcome), language)
+        for message in (law, say("plan-heading"), point, pressing):
+            assert words(message, language) in page.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_a_run_the_model_does_not_describe_is_marked_in_the_page_of_the_night(store, runs):

@@ -3,6 +3,7 @@ import { get, post } from "../api.js";
 import { TimeChart, calmRange, key } from "../charts.js";
 import { clock, el, number, plain, table } from "../dom.js";
 import { capital, effectCalled, effectName as name, has, inWords, placeName, text } from "../words.js";
+import { drawLaw, lawCard, planCard } from "./beyond.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
@@ -40,7 +41,9 @@ function drawDiagnosis(holder, record) {
     d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), inWords(d.next_measurement_said, d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
   const curves = record.has_curves ? el("section", { class: "card", "data-testid": "curves" }) : null;
-  holder.replaceChildren(...[cards[0], curves, ...cards.slice(1)].filter(Boolean));
+  const law = lawCard(d);
+  holder.replaceChildren(...[cards[0], law, planCard(d), curves, ...cards.slice(1)].filter(Boolean));
+  if (d.law && law) drawLaw(law, d.law);
   if (curves) drawCurves(curves, record.id);
 }
 
