@@ -36,8 +36,13 @@ def load_run(
     columns: Sequence[str] | None = None,
     from_s: float | None = None,
     to_s: float | None = None,
+    *,
+    words: bool = False,
 ) -> Run:
-    """Return a run with its data so far; cells that are not usable are NaN, `texts` says why."""
+    """Return a run with its data so far; cells that are not usable are NaN, `texts` says why.
+
+    With `words` it has the text columns too that an imported run came with, its qualities aside.
+    """
     row = run_row(connection, run)
     zero = row.zero_monotonic_s
     scans = scans_of(connection, row, from_s, to_s)
@@ -56,18 +61,10 @@ def load_run(
             raise InputError(say("store-column-missing", run=run, column=unknown[0], columns=tuple(table)))
         table = {name: table[name] for name in columns}
     time_s = np.round(scans.monotonic_s - zero, 6) if zero else scans.monotonic_s
-    remarks = {} if QUALITY in table else _remarks(scans.faults, columns)
-    return Run(run, stored_header(connection, row), time_s, table, "store", remarks)
-
-
-def remarks_of(
-    connection: Connection, run: str, from_s: float | None = None, to_s: float | None = None
-) -> dict[str, tuple[str, ...]]:
-    """Return the text columns an imported run came with, but for its qualities."""
-    found = scans_of(connection, run_row(connection, run), from_s, to_s).remarks
-    rows: list[dict[str, str]] = [json.loads(text or "{}") for text in found]
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: tuple(row.get(name, "") for row in rows) for name in names}
+    texts = {} if QUALITY in table else _qualities(scans.faults, columns)
+    if words:
+        texts |= _text_columns(scans.remarks)
+    return Run(run, stored_header(connection, row), time_s, table, "store", texts)
 
 
 def scans_of(
@@ -165,7 +162,16 @@ def _layouts_of(connection: Connection, row: Row[Any]) -> Sequence[int]:
     return connection.execute(own.distinct()).scalars().all()
 
 
-def _remarks(faults: Sequence[str | None], columns: Sequence[str] | None) -> dict[str, tuple[str, ...]]:
+def _text_columns(remarks: Sequence[str | None]) -> dict[str, tuple[str, ...]]:
+    """Return what stands beside scans as columns; most runs have none."""
+    read: dict[str | None, dict[str, str]] = {
+        text: {} if text is None else json.loads(text) for text in set(remarks)
+    }
+    names = dict.fromkeys(name for text in remarks if text is not None for name in read[text])
+    return {name: tuple(read[text].get(name, "") for text in remarks) for name in names}
+
+
+def _qualities(faults: Sequence[str | None], columns: Sequence[str] | None) -> dict[str, tuple[str, ...]]:
     """Return the column of qualities, or none where every value is good."""
     words = {f: "" if f is None else quality_text(json.loads(f), columns) for f in set(faults)}
     return {QUALITY: tuple(words[f] for f in faults)} if any(words.values()) else {}

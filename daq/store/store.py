@@ -190,10 +190,8 @@ class Store:
     ) -> Run:
         """Return a run as `load_run` does, with what a file carries on: start, life, remark, texts."""
         with self.database.reading() as connection:
-            loaded = run_scans.load_run(connection, run, columns, from_s, to_s)
-            remarks = run_scans.remarks_of(connection, run, from_s, to_s) if columns is None else {}
-            header = header_for_file(reading.run_record(connection, run))
-            return replace(loaded, header=header, texts={**loaded.texts, **remarks})
+            loaded = run_scans.load_run(connection, run, columns, from_s, to_s, words=columns is None)
+            return replace(loaded, header=header_for_file(reading.run_record(connection, run)))
 
     # --- live sensor --------------------------------------------------------------------------------
 
