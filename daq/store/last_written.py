@@ -1,10 +1,19 @@
-"""What a writer knows of each press's newest scan and run in the store: a store that lacks them has gone back."""
+"""What a writer knows of each press's newest scan and run in the store: a store that lacks them has gone back.
+
+A file beside a recorder's buffer keeps it, so that a later process knows it too. What the file has is never more
+than what was written: it may be some seconds old, lost or of another store, and less is known then.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+from daq.store.buffer_file import opened, sealed
 from daq.store.write_batch import WriteBatch
 
 
@@ -24,10 +33,12 @@ class LastWritten:
 
 
 class WrittenSoFar(Mapping[str, LastWritten]):
-    """What was written of each press, by its name."""
+    """What was written of each press, by its name; also by an earlier process that kept it in a file."""
 
-    def __init__(self) -> None:
-        self._last: dict[str, LastWritten] = {}
+    def __init__(self, file: Path | None = None, store: str = "") -> None:
+        self._file, self._store = file, store
+        self._last = {} if file is None else _read(file, store)
+        self._kept = dict(self._last)
 
     def __getitem__(self, press: str) -> LastWritten:
         return self._last[press]
@@ -43,6 +54,20 @@ class WrittenSoFar(Mapping[str, LastWritten]):
         for batch in batches:
             press = batch.key.name
             self._last[press] = self._last.get(press, LastWritten(-1)).with_batch(batch)
+
+    def keep(self) -> None:
+        """Keep it for a later process; one that finds an older state of it, as on a full disk, knows less."""
+        if self._file is None or self._last == self._kept:
+            return
+        presses = {press: [last.scan, last.run] for press, last in self._last.items()}
+        part = self._file.with_name(f"{self._file.name}.part")
+        with suppress(OSError):
+            with part.open("w", encoding="utf-8") as file:
+                file.write(sealed(json.dumps({"store": self._store, "presses": presses})))
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(self._file)
+            self._kept = dict(self._last)
 
     def ends_before(self, batch: WriteBatch) -> None:
         """Note that the store should have all that came before a batch with scans, and perhaps no more."""
@@ -60,3 +85,13 @@ class WrittenSoFar(Mapping[str, LastWritten]):
             if lost:
                 yield press, lost
                 self._last[press] = replace(self._last[press], scan=newest)
+
+
+def _read(file: Path, store: str) -> dict[str, LastWritten]:
+    """Return what a file has of a store: nothing where it is of another one, damaged or not there."""
+    try:
+        tree = json.loads(opened(file.read_text(encoding="utf-8")))
+        there = tree["presses"].items() if tree["store"] == store else ()
+        return {press: LastWritten(int(scan), run) for press, (scan, run) in there}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}

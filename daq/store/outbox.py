@@ -27,7 +27,7 @@ from daq.store.records import NumbersTaken, PressGone, PressKey, StoreUnavailabl
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
-from daq.supervision import BEAT_S, STALLED_S, Pending, SupervisedThread, unexpected
+from daq.supervision import BEAT_S, CALM_S, STALLED_S, Pending, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
@@ -68,7 +68,8 @@ class Outbox:
         self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
         self._placement = SessionPlacement(store, self._notes)
-        self._so_far = WrittenSoFar()
+        kept = None if buffer is None else buffer.with_name(f"{buffer.name}.written.json")
+        self._so_far = WrittenSoFar(kept, store.label)
         self._others: dict[str, tuple[int, float]] = {}
         """By press the newest scan of another recorder that is in the way, and since when it has been that one."""
         self._per_second = per_second
@@ -168,6 +169,7 @@ class Outbox:
                 self._keep()
             elif self._waiting or self._beat or self.behind:
                 self._deliver()
+        self._so_far.keep()
 
     def _take(self) -> None:
         """Move all that was put to the waiting list, and report what the buffer went through."""
@@ -219,12 +221,17 @@ class Outbox:
                 self._so_far.ends_before(self._placement.moved(item))
 
     def _settle(self) -> None:
-        """Bring what the log holds into the file with every sign of life, and forget what is there for certain."""
-        if self._store.database.path is None:
+        """Bring what the log holds into the file with every sign of life, and forget what is there for certain.
+
+        What a server has is there, and is kept for a later process now and then.
+        """
+        on_disk = self._store.database.path is not None
+        if not on_disk:
             self._unsettled.clear()
-        elif time.monotonic() >= self._settle_at:
-            self._settle_at = time.monotonic() + BEAT_S
-            if self._store.database.settle():
+        if time.monotonic() >= self._settle_at:
+            self._settle_at = time.monotonic() + (BEAT_S if on_disk else CALM_S)
+            self._so_far.keep()
+            if on_disk and self._store.database.settle():
                 self._unsettled.clear()
 
     def _moves(self) -> None:
@@ -383,6 +390,7 @@ class Outbox:
         """Move what waits from memory to the buffer."""
         if self._buffer is None or not self._waiting:
             return
+        self._so_far.keep()  # what is kept from now on was not written
         try:
             self._buffer.append(self._waiting)
         except (sqlite3.Error, OSError, ValueError, TypeError) as error:  # the last two: no text stands for it
@@ -410,20 +418,11 @@ class Outbox:
                 return
             if not rows:
                 return
-            self._know_from([item for _, item in rows])
             self._write([item for _, item in rows])
             self._buffer.remove(rows[-1][0])
             self._show()
             self._take()
             self._keep()
-
-    def _know_from(self, items: Sequence[WriteBatch | Entry]) -> None:
-        """Reckon with the scans before those an earlier process left in the buffer: it had written them."""
-        for item in items:
-            if isinstance(item, Entry) or not item.scans or self._placement.is_moved(item.key):
-                continue
-            if item.key.name not in self._so_far:
-                self._so_far.ends_before(item)
 
 
 def _example(channels: Sequence[Channel]) -> WriteBatch:

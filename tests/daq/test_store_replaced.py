@@ -13,6 +13,7 @@ from sqlalchemy import create_engine, text
 from daq.records import Channel, EventSource, PressEvent, PressEventKind
 from daq.store import NewRun, RunEnd, RunStatus, open_store
 from daq.store import outbox as outbox_module
+from daq.store.buffer_file import opened, sealed
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
 from tests.daq.test_store_outbox import BEGAN, CHANNELS, Notes, batch, numbers
@@ -303,6 +304,89 @@ def test_what_an_older_state_lacks_is_told_also_by_a_later_process_with_the_buff
         second.close()
         assert numbers(store) == [*range(10), *range(20, 30)]
         assert any("scans 10 to 19 of press lab" in alarm for alarm in told(notes))
+
+
+@pytest.mark.parametrize("state", ["older", "empty"])
+def test_what_a_server_put_back_to_an_older_state_lacks_is_told_by_a_recorder_started_there(
+    postgresql_url, tmp_path, state
+):
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        first, _ = started(store, tmp_path)
+        for n in range(20):
+            first.put(batch(key, n))
+        first.close()
+        if state == "older":
+            server(postgresql_url, "DELETE FROM scan WHERE number > 9")
+        else:
+            empty(postgresql_url)
+    alarms = []
+    for n in (10, 11):
+        with open_store(postgresql_url) as store:
+            key = store.register_press("lab", CHANNELS)
+            later, notes = started(store, tmp_path)
+            later.put(batch(key, n))
+            later.close()
+            alarms.append(told(notes))
+    lost = "scans 10 to 19 of press lab" if state == "older" else "scans 0 to 19 of press lab"
+    assert [[lost in alarm for alarm in one] for one in alarms] == [[True], []]
+
+
+def test_of_another_store_or_by_a_damaged_file_nothing_is_said_to_have_gone_back(postgresql_url, tmp_path):
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        first, _ = started(store, tmp_path)
+        for n in range(20):
+            first.put(batch(key, n))
+        first.close()
+        server(postgresql_url, "DELETE FROM scan WHERE number > 9")
+        (kept,) = tmp_path.glob("*.written.json")
+        known = kept.read_text()
+        others = sealed(opened(known).replace("postgresql", "elsewhere"))
+        for content in (known.replace("19", "99"), known[:-9], "", others, sealed("[]")):
+            kept.write_text(content)
+            later, notes = started(store, tmp_path)
+            later.put(batch(key, 10))
+            later.close()
+            assert told(notes) == []
+
+
+def test_scans_that_were_given_up_are_not_said_to_have_gone_back_by_a_later_process(
+    postgresql_url, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(outbox_module, "_MOST_WAITING", 30)
+    full = True
+    append = outbox_module.Buffer.append
+
+    def no_room(buffer, items):
+        if full:
+            raise OSError(28, "No space left on device")
+        append(buffer, items)
+
+    monkeypatch.setattr(outbox_module.Buffer, "append", no_room)
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        first, notes = started(store, tmp_path)
+        made = pressing(key, 5, 99)
+        for one in [*(batch(key, n) for n in range(5)), *made[:5]]:
+            first.put(one)
+        wait_until(lambda: first.written == 10 and first.waiting == 0)
+        server(postgresql_url, "ALTER TABLE scan RENAME TO elsewhere")
+        for one in [*made[5:-1], moved(key, PressEventKind.OPENED, 95)]:
+            first.put(one)
+        wait_until(lambda: first.lost > 50)
+        full = False
+        wait_until(lambda: first.behind)
+        first.close()
+        assert any("dropped" in alarm for alarm in told(notes))
+        server(postgresql_url, "ALTER TABLE elsewhere RENAME TO scan")
+        second, notes = started(store, tmp_path)
+        second.put(made[-1])
+        wait_until(lambda: second.waiting == 0)
+        second.close()
+        run = store.run_record("lab-5")
+        assert (run.status, run.moments.opened_s) == (RunStatus.CLOSED, pytest.approx(9.0))
+    assert told(notes) == []
 
 
 @pytest.mark.parametrize("given_away", [False, True], ids=["gone", "given to another press"])
