@@ -157,7 +157,7 @@ class Outbox:
 
     def _work(self) -> None:
         ended = False
-        while not ended:
+        while not ended or self._inbox:  # which the last writing may bring: that the store takes data again
             self._news.wait(_IDLE_S)
             self._news.clear()
             ended = self._closed  # what was put before closing is taken below

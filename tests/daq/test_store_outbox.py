@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sqlalchemy import text
 
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
 from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store
@@ -353,6 +354,30 @@ def test_a_buffered_write_batch_comes_back_as_it_was(reading, moment, note):
     assert decode_item(encode_item(item)) == item
     entry = Entry("warning", "record", say("plain-text", text=note), "lab", {"step_s": 1.0})
     assert decode_item(encode_item(entry)) == entry
+
+
+def test_a_store_that_is_back_as_the_writer_ends_takes_the_last_line_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(outbox_module, "_FIRST_RETRY_S", 600.0)
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        notes = Notes()
+
+        def journal(level, message):
+            notes.journal(level, message)
+            outbox.put(Entry(level, "record", message))
+
+        outbox = Outbox(store, journal=journal)
+        key = store.register_press("lab", CHANNELS)
+        with store.database.writing() as connection:
+            connection.execute(text("ALTER TABLE press RENAME TO elsewhere"))
+        outbox.put(batch(key, 0))
+        outbox.start()
+        wait_until(lambda: outbox.trouble)
+        with store.database.writing() as connection:
+            connection.execute(text("ALTER TABLE elsewhere RENAME TO press"))
+        outbox.close()
+        assert numbers(store) == [0]
+        assert "takes data again" in str(store.journal().items[0].message)
+    assert len([level for level, _ in notes.journalled if level == "alarm"]) == 1
 
 
 def test_a_run_whose_first_scans_found_no_room_keeps_the_rest_and_is_backed_up(tmp_path, monkeypatch):
