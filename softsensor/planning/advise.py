@@ -38,6 +38,7 @@ from softsensor.planning.made_up import (
     Programme,
     Task,
     ensemble,
+    heat_taken,
     made_up_run,
     sources_of,
     steam_of,
@@ -347,7 +348,8 @@ def _tried(
     energy = np.nan
     if isfinite(found.in_s):
         row = int(np.flatnonzero(allowed)[np.searchsorted(times, found.in_s)])
-        energy = _energy(drawn.task, courses.layers_C[:, row].mean(axis=0), programme, wish.open_s)
+        layers, at_s = courses.layers_C[:, row].mean(axis=0), float(courses.press_time_s[row])
+        energy = _energy(drawn.task, layers, programme, wish.open_s, heat_taken(drawn.task, programme, at_s))
     per_hour = 3600.0 / (found.in_s + wish.open_s)
     return TriedProgramme(programme, times, risks, found, float(energy), per_hour, wish.price_per_kWh)
 
@@ -358,11 +360,12 @@ def _allowed(times: Array, wish: Wish) -> tuple[Array, np.ndarray]:
     return times[inside], inside
 
 
-def _energy(task: Task, layers: Array, programme: Programme, open_s: float) -> float:
+def _energy(task: Task, layers: Array, programme: Programme, open_s: float, converted_J_m2: float = 0.0) -> float:
     """Return the energy of a panel. [kWh]
 
-    What it has taken up when it leaves, and what both open plates lose to the room by ``h_ap`` (or whatever the
-    press file calls the plate's open side) until the next. What platens lose outwards is not known here.
+    What it has taken up when it leaves, as heat and by what its water and resin have become, and what both open
+    plates lose to the room by ``h_ap`` (or whatever the press file calls the plate's open side) until the next.
+    What platens lose outwards is not known here.
     """
     run, _ = made_up_run(task, programme)
     panel = panel_of(run)
@@ -371,7 +374,7 @@ def _energy(task: Task, layers: Array, programme: Programme, open_s: float) -> f
     )
     films = _open_films(task, press_for_run(task.press, run))
     lost = 2.0 * float(np.mean(films or [0.0])) * (programme.platen_C - run.ambient_temperature) * open_s
-    return task.press.press.area_m2 * (taken_up + lost) / KWH_J
+    return task.press.press.area_m2 * (taken_up + converted_J_m2 + lost) / KWH_J
 
 
 def _open_films(task: Task, press: Press) -> list[float]:

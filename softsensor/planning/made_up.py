@@ -219,6 +219,28 @@ def ensemble(task: Task, start: Programme) -> Ensemble:
     return Ensemble(task, start, drawn.draws, drawn.cases, drawn.values, drawn.doubts)
 
 
+def heat_taken(task: Task, programme: Programme, press_time_s: float) -> float:
+    """Return the heat that a panel's own conversions have taken when the press opens, at the middle of all doubt.
+
+    Water that evaporates takes heat, resin that cures gives some (which counts below 0). [J/m²]
+    """
+    run, moments = made_up_run(replace(task, longest_s=press_time_s), programme)
+    taken = _taken(constant_doubts(run.header, task.press, task.model.learned))
+    model = task.model.model(task.press)
+    case = model.prepare(replace(run, header={**taken, **run.header}), moments, max_step_s=STEP_S)
+    values = {name: task.press.coefficient(name).guess for name in task.press.coefficient_names}
+    values |= task.model.values
+    released = model.build(case, values).stack.heat
+    if not len(released):
+        return 0.0
+    return -float(((released * model.solve(case, values).final.done) @ case.mesh.dx).sum())
+
+
+def _taken(doubts: Mapping[str, Doubt]) -> dict[str, Any]:
+    """Return what is taken for a panel's constants that its header does not state, by key."""
+    return {key: doubt.value for key, doubt in doubts.items() if key.startswith("panel.")}
+
+
 @dataclass(frozen=True)
 class Drawn:
     """A pressing drawn many times."""
@@ -248,8 +270,7 @@ def draw(run: Run, press: Press, model: ModelFile, moments: Moments) -> Drawn:
     """Draw what is not known of a pressing. Raises `InputError` for a panel or press that cannot be solved."""
     panel_of(run)
     doubts = {k: d for k, d in constant_doubts(run.header, press, model.learned).items() if d.sd > 0.0}
-    taken = {key: doubt.value for key, doubt in doubts.items() if key.startswith("panel.")}
-    run = replace(run, header={**taken, **run.header})
+    run = replace(run, header={**_taken(doubts), **run.header})
     sources = [COEFFICIENTS if name in press.coefficient_names else EFFECTS for name in model.names]
     sources += [*doubts, PLATENS, PLATENS, KINETICS, KINETICS, SORPTION]
     half = np.random.default_rng(SEED).standard_normal((HALF, len(sources)))

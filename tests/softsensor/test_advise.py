@@ -34,6 +34,7 @@ from softsensor.planning.made_up import (
     Programme,
     Task,
     ensemble,
+    heat_taken,
     made_up_run,
     steam_of,
 )
@@ -146,6 +147,35 @@ def test_a_panel_through_and_through_warm_has_taken_up_what_its_capacity_holds()
     lost = 2 * press().coefficient("h_ap").guess * (180.0 - 23.0) * 30.0 * 0.25 / 3.6e6
     energy = _energy(task(), np.full(len(DEPTHS), 180.0), Programme(180.0, None), 30.0)
     assert energy == pytest.approx(taken_up + lost)
+
+
+def wet() -> Task:
+    """A panel of 8 mm of which 5 % of its dry mass evaporates above 103 °C, as its model says."""
+    water = {"moisture_percent": FittedValue(5.0, 0.0), "temperature_C": FittedValue(103.0, 0.0)}
+    held = replace(model(), effects=(("moisture_evaporation", water),))
+    return replace(task(), model=held, header={**PANEL, "panel.moisture_percent": 8.0})
+
+
+def test_water_that_evaporates_takes_its_latent_heat_by_the_time_the_panel_is_dry() -> None:
+    """2.4 MJ/kg (physics.md) of 5 % of the dry mass, 750/1.08 kg/m³ times 8 mm; none below its temperature."""
+    whole = 2.4e6 * 0.05 * 750.0 / 1.08 * 0.008
+    taken = [heat_taken(wet(), Programme(180.0, None), at) for at in (10.0, 30.0, 90.0, 600.0)]
+    assert taken == sorted(taken)
+    assert 0.0 < taken[0] < 0.5 * whole
+    assert taken[-1] == pytest.approx(whole, rel=1e-3)
+    assert heat_taken(wet(), Programme(85.0, None), 60.0) < 1e-3 * whole
+    assert heat_taken(task(), Programme(180.0, None), 60.0) == 0.0
+
+
+def test_an_advice_on_a_wet_panel_counts_the_heat_that_its_water_takes() -> None:
+    limits = limits_of(None, {"core_least_C": 95.0})
+    wish = Wish(limits, None, {"platen_temperature_C": (180.0, 180.0), "press_time_s": (5.0, 300.0)})
+    best = advise(replace(wet(), longest_s=300.0), wish).best
+    assert best is not None
+    latent = heat_taken(wet(), best.programme, np.ceil(best.opening.in_s)) * 0.25 / 3.6e6
+    sensible = 750.0 * 1550.0 * 0.008 * (95.0 - 23.0) * 0.25 / 3.6e6  # the core's, which is the coldest
+    assert latent > 0.1 * sensible
+    assert best.energy_kWh > sensible + latent
 
 
 @pytest.mark.parametrize("seconds_on", [5.0, 20.0, 60.0])
