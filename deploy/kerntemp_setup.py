@@ -380,7 +380,7 @@ def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
         systemctl(place, "stop", "kerntemp.target")
     backup = ""
     try:
-        backup = back_up(place, old, f"before-{version}")
+        backup = back_up(place, old if migrates else version, f"before-{version}")
         say(as_service(place, version, "kerntemp", "check", "--offline", "--config", str(place.config)))
         switch(place, version)
         place.remember([*history, {"version": version, "schema": schema, "backup": backup}])

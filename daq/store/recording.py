@@ -34,6 +34,7 @@ from daq.store.records import (
     RunStatus,
     ScansUnreadable,
 )
+from daq.store.run_ends import changes_of_short
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
 from daq.store.sound_rows import rows_with_damage, stored_header
 from daq.tables import unseen
@@ -334,7 +335,7 @@ def _next_free(connection: Connection, prefix: str, number: int) -> int:
 def _end_run(connection: Connection, key: PressKey, end: RunEnd) -> None:
     """Close a run, also one taken for interrupted meanwhile; an end without its run is an alarm.
 
-    One that lacks its first or last scan is interrupted: it holds those that are there.
+    One that lacks its first or last scan is interrupted: others were lost, and reported then.
     """
     which = RUN.c.run == end.run
     if end.first_scan is not None:
@@ -358,20 +359,8 @@ def _end_run(connection: Connection, key: PressKey, end: RunEnd) -> None:
         "last_scan": end.last_scan,
         "ended_unix_s": unix_of(end.ended_utc),
     }
-    first, last = _ends_there(connection, key.press_id, row.first_scan, end.last_scan)
-    if (first, last) != (row.first_scan, end.last_scan):
-        ended["status"] = RunStatus.INTERRUPTED.value
-        if first is not None:
-            ended |= {"first_scan": first, "last_scan": last}
+    ended |= changes_of_short(connection, key.press_id, row.first_scan, end.last_scan)
     connection.execute(update(RUN).where(RUN.c.run == row.run).values(**ended))
-
-
-def _ends_there(connection: Connection, press_id: int, first: int, last: int) -> tuple[int | None, int | None]:
-    """Return the first and the last of these scans that the store has: others were lost, and reported then."""
-    own = select(SCAN.c.number).where(SCAN.c.press_id == press_id, SCAN.c.number.between(first, last)).limit(1)
-    ends = (own.order_by(SCAN.c.number), own.order_by(SCAN.c.number.desc()))
-    found, until = (connection.execute(end).scalar() for end in ends)
-    return found, until
 
 
 def _header_columns(header: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
@@ -26,10 +26,11 @@ from daq.store.database import Database, migrations
 from daq.store.file_rescue import files_of, remove_trial
 from daq.store.reading import first_number_from
 from daq.store.records import RunStatus, StoreUnavailable
+from daq.store.run_ends import interrupt_short
 from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, IDLE_THINNED, METADATA, MODEL, PRESS, RUN, SCAN
 from daq.store.upsert import put
 from daq.tables import reason_of
-from daq.words import say
+from daq.words import Message, say
 
 _BATCH = 20_000
 """Rows copied in one statement. By hand, 2026-11."""
@@ -37,6 +38,14 @@ _PIECE = 998
 """Idle scans deleted in one transaction: with their press as many values as a statement of any SQLite takes, by
 default 999 before version 3.32 (https://www.sqlite.org/limits.html)."""
 Progress = Callable[[int], None]
+
+
+class RunsShort(InputError):
+    """Closed runs of a store lack their first or last scan. The text names one."""
+
+    def __init__(self, what: Message, runs: Sequence[str]) -> None:
+        super().__init__(what)
+        self.runs = runs
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,9 @@ class Sizes:
 def back_up(database: Database, target: Path) -> Contents:
     """Copy a store into a new SQLite file while others write, check the copy, then give it its name.
 
+    Closed runs that lack their first or last scan in the store itself are interrupted there, each with an alarm,
+    and it is copied once more: no later backup can have what is lost.
+
     Raises
     ------
     InputError
@@ -74,13 +86,14 @@ def back_up(database: Database, target: Path) -> Contents:
     part = target.with_name(f".{target.name}.part")
     part.unlink(missing_ok=True)
     try:
-        if database.path is not None:
-            _copy_file(database.path, part)
-        else:
-            with closing(Database(str(part))) as copy, database.reading() as source:
-                _copy_tables(source, copy)
-            _make_single_file(part)
-        contents = verify(part)
+        try:
+            contents = _copied(database, part)
+        except RunsShort as short:
+            with database.writing() as connection:
+                if not interrupt_short(connection, short.runs):
+                    raise
+            part.unlink()
+            contents = _copied(database, part)
         part.replace(target)
         update_manifest(target.parent, [target])
     except (sqlite3.Error, OSError) as error:
@@ -88,6 +101,16 @@ def back_up(database: Database, target: Path) -> Contents:
     finally:
         remove_trial(part)
     return contents
+
+
+def _copied(database: Database, part: Path) -> Contents:
+    if database.path is not None:
+        _copy_file(database.path, part)
+    else:
+        with closing(Database(str(part))) as copy, database.reading() as source:
+            _copy_tables(source, copy)
+        _make_single_file(part)
+    return verify(part)
 
 
 def _check_target(target: Path) -> None:
@@ -155,13 +178,13 @@ def verify(path: Path) -> Contents:
                 for table in ("run", "scan", "fit", "model")
             ]
             own = _NOT_ARCHIVED if schema >= _WITH_ARCHIVE else ""
-            short = connection.execute(_RUNS_WITHOUT_ENDS.format(own=own)).fetchone()
+            short = [row[0] for row in connection.execute(_RUNS_WITHOUT_ENDS.format(own=own))]
     except sqlite3.Error as error:
         raise InputError(say("backup-unsound", file=str(path), error=reason_of(error))) from error
     if schema > (known := max(migrations())):
         raise InputError(say("backup-newer", file=str(path), schema=schema, known=known))
-    if short is not None:
-        raise InputError(say("backup-run-short", file=str(path), run=short[0]))
+    if short:
+        raise RunsShort(say("backup-run-short", file=str(path), run=short[0]), short)
     check_listed(path)
     return Contents(schema, *counts)
 
@@ -173,7 +196,7 @@ _RUNS_WITHOUT_ENDS = """
 SELECT run.run FROM run WHERE run.last_scan >= run.first_scan AND run.status = 'closed' AND {own}(
     NOT EXISTS (SELECT 1 FROM scan WHERE scan.press_id = run.press_id AND scan.number = run.first_scan)
     OR NOT EXISTS (SELECT 1 FROM scan WHERE scan.press_id = run.press_id AND scan.number = run.last_scan)
-) LIMIT 1
+)
 """
 
 

@@ -518,6 +518,7 @@ recipe-unknown = Rezept '{ $recipe }' gibt es nicht; es gibt: { $known }
 restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }
 run-end-without-run = Pressung { $run } endet bei Messzeile { $scan }, aber der Datenspeicher hat keine solche Pressung; ihre Messzeilen sind erhalten
 run-renamed = Pressung { $run } ist schon im Datenspeicher; diese Pressung wird als { $name } gespeichert
+run-short = der Pressung { $run } fehlen die ersten oder letzten Messzeilen im Datenspeicher; sie gilt jetzt als unterbrochen und hat die, die da sind, eine ältere Sicherung hat sie vielleicht ganz
 scans-given-up = Der Datenspeicher ist zu lange nicht erreichbar: die ältesten wartenden Messzeilen werden verworfen; Puffer: { $where }
 scans-wait = { $why }; Messzeilen warten: { $where }
 set-aside-begin = den Beginn der Pressung { $run } mit allen Kopfdaten

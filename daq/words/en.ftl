@@ -518,6 +518,7 @@ recipe-unknown = there is no recipe '{ $recipe }'; there are: { $known }
 restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }
 run-end-without-run = run { $run } ends at scan { $scan }, but the store has no such run; its scans are kept
 run-renamed = run { $run } is in the store already; this pressing is stored as { $name }
+run-short = run { $run } lacks its first or last scans in the store; it is an interrupted one of those that are there now, an older backup may hold it whole
 scans-given-up = the store has been unreachable for too long: the oldest waiting scans are dropped; buffer: { $where }
 scans-wait = { $why }; scans wait in { $where }
 set-aside-begin = the beginning of run { $run } with all of its header

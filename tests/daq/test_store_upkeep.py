@@ -14,7 +14,7 @@ from sqlalchemy import event, make_url, text
 
 from daq.files.manifest import NAME, check_listed, update_manifest
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
-from daq.store import NewRun, RunEnd, StoredEstimate, open_store
+from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, open_store, upkeep
 from daq.store.database import migrations, statements
 from daq.store.upkeep import restore, verify
 
@@ -184,6 +184,48 @@ def test_a_backup_with_a_run_that_lost_scans_is_refused(tmp_path):
     connection.close()
     with pytest.raises(InputError, match="run one lacks its first or last scan"):
         verify(tmp_path / "b.sqlite")
+
+
+@pytest.mark.parametrize("lost", ["number < 310", "number > 640", "number BETWEEN 300 AND 650"])
+def test_a_store_with_a_closed_run_that_lost_scans_is_backed_up_and_the_rest_of_it_is_read(
+    store_url, tmp_path, lost
+):
+    with open_store(store_url) as store:
+        fill(store)
+        with store.database.writing() as connection:
+            connection.execute(text(f"DELETE FROM scan WHERE {lost}"))
+        with pytest.raises(InputError, match="scans of it are missing"):
+            store.load_run("one")
+        assert store.back_up(tmp_path / "b.sqlite").runs == 1
+        (alarm,) = store.journal(level="alarm").items
+        assert (alarm.press, alarm.process) == ("lab", "backup")
+        assert "run one lacks its first or last scans" in str(alarm.message)
+        left = {"number < 310": (310, 650), "number > 640": (300, 640)}.get(lost, (300, 650))
+        for one in (store, open_store(str(tmp_path / "b.sqlite"))):
+            run = one.run_record("one")
+            assert (run.status, run.first_scan, run.last_scan) == (RunStatus.INTERRUPTED, *left)
+            assert len(one.load_run("one").time_s) == (0 if "BETWEEN" in lost else left[1] - left[0] + 1)
+        one.close()
+        store.back_up(tmp_path / "c.sqlite")
+        assert len(store.journal(level="alarm").items) == 1
+        assert restore(tmp_path / "c.sqlite", str(tmp_path / "again.sqlite")).runs == 1
+
+
+def test_a_copy_that_lost_scans_which_the_store_has_is_no_backup(tmp_path, monkeypatch):
+    copied = upkeep._copy_file
+
+    def torn(source, target):
+        copied(source, target)
+        with closing(sqlite3.connect(target)) as connection, connection:
+            connection.execute("DELETE FROM scan WHERE number = 650")
+
+    monkeypatch.setattr(upkeep, "_copy_file", torn)
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        fill(store)
+        with pytest.raises(InputError, match="run one lacks its first or last scan"):
+            store.back_up(tmp_path / "b.sqlite")
+        assert store.run_record("one").status is RunStatus.CLOSED
+    assert sorted(p.name for p in tmp_path.glob("*b.sqlite*")) == []
 
 
 def test_thinning_takes_old_idle_scans_and_never_those_of_a_run(store_url):
