@@ -1061,6 +1061,7 @@ note-channel-in-runs = { $count } von { $runs } Pressungen: { $column } ist { $k
         [drifting] gedriftet
        *[loose] lose
     } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K RMS) und wurde weggelassen
+note-left-in-runs = mehr als Rauschen bleibt in { $count } von { $runs } Pressungen, dort { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, in den anderen { NUMBER($rest, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: { $names }
 note-refuted-by-cores = Kernfühler schließen diese Ursache aus, obwohl die Seiten passen würden: { $cause }
 note-rim-falls = Fühler am Rand fallen im Verlauf einer Pressung um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K gegen die in der Mitte: dort geht Wärme verloren
 p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
@@ -1088,8 +1089,14 @@ verdict-few-runs-off = { $runs } { $runs ->
         [one] Pressung ist
        *[other] Pressungen sind
     } zu wenig, um eine Ursache vom Zufall zu unterscheiden; das einfache Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, davon sind { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen.
-verdict-left = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt.
-verdict-left-at = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt: { $stretch }.
+verdict-left = { $who ->
+        [some] Einige der Pressungen
+       *[all] Alle Pressungen
+    } haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt.
+verdict-left-at = { $who ->
+        [some] Einige der Pressungen
+       *[all] Alle Pressungen
+    } haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt: { $stretch }.
 verdict-not-described = Kein Urteil möglich: das Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Pressendatei, Kopfdaten der Pressungen und die Zuordnung der Spalten prüfen.
 verdict-panels-differ = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, doch nur, wenn ihre Platten sich stärker voneinander unterscheiden als Platten eines Erzeugnisses: etwas Unbekanntes ist von Pressung zu Pressung verschieden.
 verdict-panels-not-as-given = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, doch nur, wenn alle ihre Platten anders leiten oder speichern als in den Kopfdaten angegeben, stärker als Platten eines Erzeugnisses es tun. Dicke, Dichte, Wärmeleitfähigkeit und Wärmekapazität prüfen.

@@ -1053,6 +1053,7 @@ note-cells-jump = { $count } of { $runs } runs: { $cells ->
     }
 note-channel = { $run }: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
 note-channel-in-runs = { $count } of { $runs } runs: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
+note-left-in-runs = more than noise is left in { $count } of { $runs } runs, { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K there and { NUMBER($rest, minimumFractionDigits: 2, maximumFractionDigits: 2) } K in the others: { $names }
 note-refuted-by-cores = core thermocouples rule out { $cause }, although the faces would fit
 note-rim-falls = rim sensors fall by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K against central ones in the course of a run: heat leaves there
 p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
@@ -1080,8 +1081,14 @@ verdict-few-runs-off = { $runs } { $runs ->
         [one] run is
        *[other] runs are
     } too few to distinguish a cause from chance; the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, of which { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K is noise.
-verdict-left = All runs share a residual that no cause of the catalogue explains.
-verdict-left-at = All runs share a residual that no cause of the catalogue explains: { $stretch }.
+verdict-left = { $who ->
+        [some] Some of the runs
+       *[all] All runs
+    } share a residual that no cause of the catalogue explains.
+verdict-left-at = { $who ->
+        [some] Some of the runs
+       *[all] All runs
+    } share a residual that no cause of the catalogue explains: { $stretch }.
 verdict-not-described = No verdict is possible: the model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Check the press file, the runs' headers and which column is which.
 verdict-panels-differ = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet only if their panels differ from one another by more than panels of one product do: something unknown differs from run to run.
 verdict-panels-not-as-given = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet only if all their panels conduct or store otherwise than the headers give, by more than panels of one product do. Check thickness, density, conductivity and heat capacity.

@@ -311,6 +311,8 @@ class Remains:
     """Its residual, steep moments counting less, over what noise leaves."""
     described: bool
     """Not so far off that no statement can be made."""
+    off: tuple[int, ...] = ()
+    """Runs whose own residual is not noise, where others' is: what is missing is in these, not in all."""
     panels_as_given: bool = True
     """The middle of the panels that it needs is as near to those given as panels are."""
     panels_alike: bool = True
@@ -370,6 +372,23 @@ def something_left(left: Remains, runs: int) -> bool:
     A pattern that the runs share, or panels that differ among themselves more than panels of one product do.
     """
     return runs >= FEW_RUNS and (not left.panels_alike or pattern_left(left, runs))
+
+
+def beyond_noise(times_noise: Array) -> tuple[int, ...]:
+    """Return which runs' residuals are more than noise, where others' are not; none where all are alike.
+
+    Parameters
+    ----------
+    times_noise
+        What a model leaves of each run, steep moments counting less, over what noise leaves (runs).
+
+    Examples
+    --------
+    >>> beyond_noise(np.array([1.1, 3.0, 0.9])), beyond_noise(np.array([3.0, 4.0])), beyond_noise(np.ones(2))
+    ((1,), (), ())
+    """
+    off = np.flatnonzero(times_noise > EXCESS)
+    return tuple(off.tolist()) if len(off) < len(times_noise) else ()
 
 
 def pattern_left(left: Remains, runs: int) -> bool:

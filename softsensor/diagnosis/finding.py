@@ -9,13 +9,13 @@ import numpy as np
 
 from daq.printed import lines_of, on_screen
 from daq.records import Array
-from daq.words import Message
+from daq.words import Message, say
 from daq.words.message import words
 from softsensor.diagnosis.decision import Remains, Verdict
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.laws.choice import Law
-from softsensor.diagnosis.numbers import Errors, Interval
+from softsensor.diagnosis.numbers import Errors, Interval, rms
 from softsensor.diagnosis.search import Candidate
 from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import sensor_fault
@@ -119,8 +119,8 @@ class Diagnosis:
     """What each of these fits leaves."""
     rivals: tuple[tuple[str, Array], ...]
     """The first cause and the runners-up, with what each run, left out, saves by them."""
-    warnings: tuple[Message, ...] = ()
-    """What is to be known of it."""
+    remarks: tuple[Message, ...] = ()
+    """What is to be known of runs and channels, whatever is named."""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
     law_seconds: float | None = None
@@ -142,6 +142,20 @@ class Diagnosis:
     def left(self) -> Remains:
         """What the last fit leaves."""
         return self.remains[-1]
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:
+        """In which runs more than noise is left, where it is not in all, and the remarks."""
+        off = list(self.left.off)
+        if not off:
+            return self.remarks
+        each, runs = self.extended.weighed, [white.digest.run.name for white in self.stages[0].data]
+        there, elsewhere = rms(each[off]), rms(np.delete(each, off))
+        names = tuple(runs[i] for i in off)
+        in_runs = say(
+            "note-left-in-runs", count=len(off), runs=len(runs), names=names, kelvin=there, rest=elsewhere
+        )
+        return (in_runs, *self.remarks)
 
     @property
     def predicted_gain(self) -> Gain:

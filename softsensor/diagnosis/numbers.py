@@ -61,6 +61,8 @@ class Errors:
     predicted_rmse_K: float  # noqa: N815
     """Runs predicted from header, platens and the other runs alone, sensors' offsets within."""
     predicted_core_rmse_K: float | None  # noqa: N815
+    weighed: Array
+    """`weighed_rmse_K` by run."""
     heldout: Array
     """`heldout_rmse_K` by run."""
     predicted: Array
@@ -79,7 +81,8 @@ class Errors:
         return {name: None if value is None else short(value) for name, value in table.items()}
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -149,13 +152,14 @@ def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Seque
         cores_ahead += _core_errors(d, pure)
     fit, raw, weighed, held, pure_, scatter = np.array(table).T
     return Errors(
-        rmse_K=_rms(np.sqrt(fit + scatter)),
-        rmse_raw_K=_rms(np.sqrt(raw + scatter)),
-        weighed_rmse_K=_rms(np.sqrt(weighed + scatter)),
-        heldout_rmse_K=_rms(np.sqrt(held + scatter)),
-        core_rmse_K=_rms(np.concatenate(cores)) if cores else None,
-        predicted_rmse_K=_rms(np.sqrt(pure_ + scatter)),
-        predicted_core_rmse_K=_rms(np.concatenate(cores_ahead)) if cores_ahead else None,
+        rmse_K=rms(np.sqrt(fit + scatter)),
+        rmse_raw_K=rms(np.sqrt(raw + scatter)),
+        weighed_rmse_K=rms(np.sqrt(weighed + scatter)),
+        heldout_rmse_K=rms(np.sqrt(held + scatter)),
+        core_rmse_K=rms(np.concatenate(cores)) if cores else None,
+        predicted_rmse_K=rms(np.sqrt(pure_ + scatter)),
+        predicted_core_rmse_K=rms(np.concatenate(cores_ahead)) if cores_ahead else None,
+        weighed=np.sqrt(weighed + scatter),
         heldout=np.sqrt(held + scatter),
         predicted=np.sqrt(pure_ + scatter),
     )

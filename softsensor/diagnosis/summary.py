@@ -90,11 +90,10 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
     if found.verdict is not Verdict.UNKNOWN_EFFECT:
         return _cause_messages(found)
     if pattern_left(found.left, runs):
-        return (
-            say("verdict-left-at", stretch=stretch_message(found.where[0]))
-            if found.where
-            else say("verdict-left"),
-        )
+        who = "some" if found.left.off else "all"
+        if not found.where:
+            return (say("verdict-left", who=who),)
+        return (say("verdict-left-at", who=who, stretch=stretch_message(found.where[0])),)
     return (say(_without_a_pattern(found.left), runs=runs, **residual),)
 
 

@@ -72,6 +72,7 @@ from softsensor.diagnosis.decision import (
     Remains,
     Verdict,
     VerdictBasis,
+    beyond_noise,
     conclude,
     something_left,
 )
@@ -217,11 +218,11 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         stages=tuple(stages[: named + 1]),
         remains=basis.remains[: named + 1],
         rivals=_rivals(rounds),
-        warnings=_warnings(readings, rounds, stages[0].data),
+        remarks=_remarks(readings, rounds, stages[0].data),
     )
 
 
-def _warnings(readings: _Readings, rounds: list[Round], data: Sequence[Whitened]) -> tuple[Message, ...]:
+def _remarks(readings: _Readings, rounds: list[Round], data: Sequence[Whitened]) -> tuple[Message, ...]:
     return (
         *notes(readings.runs, readings.faults, rounds),
         *spike_notes(readings.spikes),
@@ -238,6 +239,7 @@ def _remains(stage: SettledModel, test: PatternTest, explained: float, errors: E
         explained=explained,
         times_noise=errors.weighed_rmse_K / noise_K,
         described=is_described(errors.rmse_K, noise_K, [d.digest for d in stage.data]),
+        off=beyond_noise(errors.weighed / noise_K),
         panels_as_given=middle > ALPHA_PATTERN / 2,
         panels_alike=differ > ALPHA_PATTERN / 2,
     )

@@ -59,7 +59,15 @@ from softsensor.diagnosis.run_scores import run_scores
 from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candidate, search, switch_scores
 from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, run_errors, settle, settle_base
-from softsensor.diagnosis.sign_flips import MANY, Pocket, likelihood_p, max_t, pattern_test, sign_patterns
+from softsensor.diagnosis.sign_flips import (
+    MANY,
+    PatternTest,
+    Pocket,
+    likelihood_p,
+    max_t,
+    pattern_test,
+    sign_patterns,
+)
 from softsensor.diagnosis.summary import core_messages, sureness, verdict_messages, worth
 from softsensor.diagnosis.unseen import never_seen
 from softsensor.diagnosis.verdict import _lacking_loads, _screened, diagnose
@@ -721,6 +729,26 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     assert sentences(verdict_messages(off)).startswith("No verdict is possible: the model is ")
     doubted = replace(found, suspected=diagnosed("edge_loss", 501, 7, 0.5).findings)
     assert sentences(verdict_messages(doubted)).endswith("Suspected, not proven: heat lost at the rim.")
+
+
+def test_an_effect_in_half_of_the_runs_is_said_to_be_in_those() -> None:
+    plain, grown = (make_campaign(872013, 4, effect, SMALL) for effect in (None, "contact_buildup"))
+    runs = [(grown if i % 2 else plain)[i][0] for i in range(4)]
+    found = diagnose(press(), runs, effects=["edge_loss"])
+    note = found.as_json()["warnings"][0]
+    assert note.startswith("more than noise is left in 2 of 4 runs, ")
+    assert note.endswith(": v872013-02, v872013-04")
+    assert note in diagnosis_report(found).replace("\N{NO-BREAK SPACE}", " ")
+    rest, shared = (found.extended.weighed[some] for some in ([0, 2], [1, 3]))
+    assert f"{np.sqrt(np.mean(shared**2)):.2f} K there and {np.sqrt(np.mean(rest**2)):.2f} K in the others" in note
+    unknown = replace(
+        found, verdict=Verdict.UNKNOWN_EFFECT, remains=(replace(found.left, pattern=PatternTest(0.0, 1.0, None)),)
+    )
+    many = replace(unknown, stages=(replace(found.stages[0], data=found.stages[0].data * 2),))
+    assert sentences(verdict_messages(many)).startswith("Some of the runs share a residual")
+    everywhere = replace(many, remains=(replace(unknown.left, off=()),))
+    assert sentences(verdict_messages(everywhere)).startswith("All runs share a residual")
+    assert everywhere.warnings == found.remarks
 
 
 def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:
