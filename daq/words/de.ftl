@@ -1064,6 +1064,7 @@ note-channel-in-runs = { $count } von { $runs } Pressungen: { $column } ist { $k
 note-left-in-runs = mehr als Rauschen bleibt in { $count } von { $runs } Pressungen, dort { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, in den anderen { NUMBER($rest, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: { $names }
 note-refuted-by-cores = Kernfühler schließen diese Ursache aus, obwohl die Seiten passen würden: { $cause }
 note-rim-falls = Fühler am Rand fallen im Verlauf einer Pressung um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K gegen die in der Mitte: dort geht Wärme verloren
+note-thickness-alike = Platten von { NUMBER($thickness, minimumFractionDigits: 1, maximumFractionDigits: 1) } mm statt der { NUMBER($given, minimumFractionDigits: 1, maximumFractionDigits: 1) } mm der Kopfdaten zeigten dasselbe: eine nachmessen
 p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
 p-value-below = p < { NUMBER($p, maximumSignificantDigits: 1) }
 p-value-few-runs = { $chance } ({ $runs } { $runs ->

@@ -1056,6 +1056,7 @@ note-channel-in-runs = { $count } of { $runs } runs: { $column } is { $kind } ({
 note-left-in-runs = more than noise is left in { $count } of { $runs } runs, { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K there and { NUMBER($rest, minimumFractionDigits: 2, maximumFractionDigits: 2) } K in the others: { $names }
 note-refuted-by-cores = core thermocouples rule out { $cause }, although the faces would fit
 note-rim-falls = rim sensors fall by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K against central ones in the course of a run: heat leaves there
+note-thickness-alike = panels of { NUMBER($thickness, minimumFractionDigits: 1, maximumFractionDigits: 1) } mm instead of the { NUMBER($given, minimumFractionDigits: 1, maximumFractionDigits: 1) } mm in the headers would show the same: measure one
 p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
 p-value-below = p < { NUMBER($p, maximumSignificantDigits: 1) }
 p-value-few-runs = { $chance } ({ $runs } { $runs ->

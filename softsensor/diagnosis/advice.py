@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.press.header import panel_of
 from daq.records import Array, Run
 from daq.words import Message, say
 from softsensor.diagnosis.decision import FEW_RUNS, Verdict
 from softsensor.diagnosis.finding import Finding
 from softsensor.diagnosis.selection import Round, cool_rim
-from softsensor.effects import find_effect
+from softsensor.effects import conductivity_offset, find_effect, heat_capacity_offset
 from softsensor.effects.vocabulary import called
+from softsensor.signals.doubt import one_product
 from softsensor.signals.screen import ChannelFault
 from softsensor.signals.spikes import SPIKE_K, Spikes
 
@@ -95,6 +97,22 @@ def notes(
             )
     refuted = dict.fromkeys(name for r in rounds for name in r.refuted)
     return (*remarks, *(say("note-refuted-by-cores", cause=called(name)) for name in refuted))
+
+
+def thickness_notes(findings: Sequence[Finding], runs: Sequence[Run]) -> tuple[Message, ...]:
+    """Say which thickness of the panels would show the same as constants of theirs that are off.
+
+    Heat takes a time of d² ρc / k through a panel, and contacts that are fitted hide the rest, so that a wrong
+    thickness and wrong constants look alike; not where panels of several thicknesses have the same constants.
+    """
+    conducts, stores = conductivity_offset.EFFECT.name, heat_capacity_offset.EFFECT.name
+    ratios = {f.name: f.parameters["ratio"].value for f in findings if f.name in (conducts, stores)}
+    given = [1000.0 * panel_of(run).thickness for run in runs if ratios]
+    if not given or not one_product(min(given), max(given)):
+        return ()
+    slower = ratios.get(stores, 1.0) / ratios.get(conducts, 1.0)
+    alike = float(np.mean(given) * np.sqrt(slower))
+    return (say("note-thickness-alike", thickness=alike, given=float(np.mean(given))),)
 
 
 def spike_notes(spikes: Sequence[tuple[Spikes, ...]]) -> tuple[Message, ...]:

@@ -57,7 +57,14 @@ import numpy as np
 from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
-from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes, spike_notes
+from softsensor.diagnosis.advice import (
+    AdviceBasis,
+    next_measurement,
+    notes,
+    rim_notes,
+    spike_notes,
+    thickness_notes,
+)
 from softsensor.diagnosis.causes import (
     explained,
     findings_of,
@@ -218,7 +225,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         stages=tuple(stages[: named + 1]),
         remains=basis.remains[: named + 1],
         rivals=_rivals(rounds),
-        remarks=_remarks(readings, rounds, stages[0].data),
+        remarks=(*thickness_notes(findings, runs), *_remarks(readings, rounds, stages[0].data)),
     )
 
 

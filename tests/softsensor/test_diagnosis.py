@@ -18,7 +18,7 @@ from daq.records import Array, InputError, Moments, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
 from daq.words.message import catalogue_of, sentences, words
-from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
+from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes, thickness_notes
 from softsensor.diagnosis.causes import _alternatives
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import (
@@ -49,6 +49,7 @@ from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.numbers import (
     BLOCK_S,
+    Interval,
     intervals,
     intervals_of_models,
     measure_errors,
@@ -678,6 +679,31 @@ def test_panels_that_all_store_more_heat_than_given_are_not_taken_for_usual_ones
     usual = [run for run, _ in campaign(None, 41, 7)]
     plain = settle_base(ThermalModel(press()), _screened(press(), usual)[1])
     assert min(panels_as_usual(plain)) > ALPHA_PATTERN / 2
+
+
+@pytest.mark.parametrize(
+    ("ratios", "alike"),
+    [
+        ({"heat_capacity_offset": 1.44}, "12.0"),
+        ({"conductivity_offset": 1.0 / 1.44}, "12.0"),
+        ({"conductivity_offset": 1.0 / 1.2, "heat_capacity_offset": 1.2}, "12.0"),
+        ({"conductivity_offset": 1.21}, "9.1"),
+        ({"edge_loss": 1.44}, None),
+    ],
+)
+def test_constants_that_are_off_are_told_with_the_thickness_that_would_look_the_same(
+    ratios: dict[str, float], alike: str | None
+) -> None:
+    """A panel s times as thick is one of 1/s the conductivity and s the capacity, in the thickness given."""
+    rest = (0.01, Gain(1.0, None), Gain(1.0, None), 1.0)
+    found = [Finding(name, (name,), {"ratio": Interval(ratio, None)}, *rest) for name, ratio in ratios.items()]
+    header = dict(campaign(None, 41, 7)[0][0].header) | {"panel.thickness_mm": 10.0}
+    runs = [Run(f"v-{i}", header, np.zeros(1), {}) for i in range(3)]
+    notes = [str(note) for note in thickness_notes(found, runs)]
+    expected = f"panels of {alike} mm instead of the 10.0 mm in the headers would show the same: measure one"
+    assert notes == ([expected] if alike else [])
+    thicker = replace(runs[0], header=header | {"panel.thickness_mm": 16.0})
+    assert thickness_notes(found, [*runs, thicker]) == ()
 
 
 def test_pressings_asked_for_are_as_many_as_a_cause_needs() -> None:
