@@ -60,8 +60,10 @@ def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Seque
     by_key = {alarm.key: alarm for alarm in standing}
     if known & set(by_key):
         connection.execute(update(ALARM).where(_stands(known & set(by_key))).values(seen_unix_s=at))
-    unseen = or_(ALARM.c.seen_unix_s < at - CALM_S, ALARM.c.seen_unix_s > at + CALM_S)  # or a clock was set back
-    over = (ALARM.c.ended_unix_s.is_(None), unseen)
+    ahead = (ALARM.c.ended_unix_s.is_(None), ALARM.c.seen_unix_s > at + CALM_S)
+    # by a clock that was set back since, or by another server's, which sees it again if it still stands there
+    connection.execute(update(ALARM).where(*ahead).values(seen_unix_s=at))
+    over = (ALARM.c.ended_unix_s.is_(None), ALARM.c.seen_unix_s < at - CALM_S)
     connection.execute(update(ALARM).where(*over).values(ended_unix_s=ALARM.c.seen_unix_s))
     new = [_raise(connection, alarm, ways, at) for key, alarm in by_key.items() if key not in known]
     return len(new) + _take_up_journal(connection, position, ways, at)
@@ -193,14 +195,16 @@ def acknowledge(connection: Connection, number: int, who: str) -> StoredAlarm:
 def take_delivery(connection: Connection, ways: Sequence[str], now: datetime) -> Delivery | None:
     """Take the delivery that has waited longest in hand, None where none is due; others leave it alone so long.
 
-    None waits longer than `LONGEST_WAIT_S`: what is due later was noted by a clock that has been set back since.
+    None waits longer than `LONGEST_WAIT_S`: what is due later was noted by a clock that has been set back since,
+    or by another server's that is ahead, which may have it in hand.
     """
     at = unix_of(now)
-    due = or_(ALARM_DELIVERY.c.due_unix_s <= at, ALARM_DELIVERY.c.due_unix_s > at + LONGEST_WAIT_S)
+    ahead = (ALARM_DELIVERY.c.delivered_unix_s.is_(None), ALARM_DELIVERY.c.due_unix_s > at + LONGEST_WAIT_S)
+    connection.execute(update(ALARM_DELIVERY).where(*ahead).values(due_unix_s=at + IN_HAND_S))
     query = (
         select(ALARM_DELIVERY.c.way, ALARM_DELIVERY.c.tries, ALARM)
         .join(ALARM, ALARM.c.alarm_id == ALARM_DELIVERY.c.alarm_id)
-        .where(ALARM_DELIVERY.c.delivered_unix_s.is_(None), due)
+        .where(ALARM_DELIVERY.c.delivered_unix_s.is_(None), ALARM_DELIVERY.c.due_unix_s <= at)
         .where(ALARM_DELIVERY.c.way.in_(ways))
         .order_by(ALARM_DELIVERY.c.due_unix_s, ALARM_DELIVERY.c.alarm_id)
         .limit(1)

@@ -36,7 +36,7 @@ from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality
 from daq.store import open_store
 from daq.store.records import NewRun, StandingAlarm, StoredEstimate
 from daq.store.write_batch import Entry
-from daq.supervision import IN_USE_S
+from daq.supervision import CALM_S, IN_USE_S
 from daq.words import say
 from daq.words.message import words
 from tests.api.certificates import self_signed
@@ -299,17 +299,41 @@ def test_a_delivery_is_in_one_hand_at_a_time(store):
     assert store.take_delivery([MAIL], seconds(9999)) is None
 
 
+def test_what_a_server_has_in_hand_whose_clock_is_ahead_is_not_sent_twice(store):
+    store.watch_alarms([HOT], [MAIL], NOW)
+    mine = store.take_delivery([MAIL], seconds(900))  # by a clock that is a quarter of an hour ahead
+    for s in range(0, 40, 2):
+        assert store.take_delivery([MAIL], seconds(s)) is None
+    store.delivered(mine, seconds(940))
+    assert store.take_delivery([MAIL], seconds(9999)) is None
+
+
 def test_a_clock_that_is_set_back_keeps_no_alarm_waiting_and_hides_none(store):
     day_s = 86400.0
     store.watch_alarms([HOT], [MAIL], seconds(day_s))
     refused = store.take_delivery([MAIL], seconds(day_s))
     store.put_off(refused, "refused", seconds(day_s))
-    again = store.take_delivery([MAIL], NOW)  # by now the clock is set back
+    assert store.take_delivery([MAIL], NOW) is None  # by now the clock is set back
+    again = store.take_delivery([MAIL], seconds(46))
     assert again.alarm.number == refused.alarm.number
-    store.delivered(again, NOW)
-    assert store.watch_alarms([], [MAIL], seconds(2)) == 0
+    store.delivered(again, seconds(46))
+    for s in (2, 2.5 + CALM_S):
+        assert store.watch_alarms([], [MAIL], seconds(s)) == 0
     assert not any(alarm.ended_utc is None for alarm in store.alarms().items)
-    assert store.watch_alarms([HOT], [MAIL], seconds(60)) == 1
+    assert store.watch_alarms([HOT], [MAIL], seconds(90)) == 1
+
+
+@pytest.mark.parametrize("ahead_s", [90.0, 900.0])
+def test_what_a_server_sees_whose_clock_is_ahead_is_one_alarm_and_ends_when_it_is_over(store, ahead_s):
+    new = [
+        store.watch_alarms([HOT] if ahead else [], [MAIL], seconds(s + (ahead_s if ahead else 0.0)))
+        for s in range(0, 200, 2)
+        for ahead in (True, False)
+    ]
+    assert sum(new) == 1
+    for s in range(200, 204 + int(CALM_S), 2):
+        assert store.watch_alarms([], [MAIL], seconds(s)) == 0
+    assert [alarm.ended_utc is None for alarm in store.alarms().items] == [False]
 
 
 @pytest.mark.parametrize("ahead_s", [300.0, 86400.0])
