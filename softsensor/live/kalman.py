@@ -58,7 +58,10 @@ class KalmanFilter:
     worst: float = 0.0
     """Largest misfit away from switches, forgotten slowly."""
     across: float = 0.0
-    """Largest mean squared normalised innovation right after a hole in the scans."""
+    """Largest mean squared normalised innovation right after a hole in the scans. A logger that reads once
+    a minute has none; its innovations are the misfit's."""
+    block_s: float = math.inf
+    """How long the block before was. [s]"""
     changed: float = -50.0
     """Logarithm of the odds that something changed at once since the start."""
     odd: deque[tuple[float, float, float, float]] = field(default_factory=deque)
@@ -134,8 +137,9 @@ class KalmanFilter:
         if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
             self.fit += fit
         elapsed = end - begin
-        if count and not quiet and elapsed > HOLE_S:
+        if count and not quiet and elapsed > max(HOLE_S, 2.0 * self.block_s):
             self.across = max(self.across, squares / count)
+        self.block_s = elapsed if elapsed > 0.0 else math.inf
         self.worst *= math.exp(-elapsed / WORST_MEMORY_S)
         if count and not quiet:
             self.odd.append((end, max(elapsed, 0.05), squares / count, jump))

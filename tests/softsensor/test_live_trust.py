@@ -453,6 +453,53 @@ def test_a_clock_that_jumps_is_doubted_and_scans_that_are_lost_are_not(pressing)
     assert np.mean([e.valid for e in lost if e.time_s > lost_s]) > 0.9
 
 
+BOARD = parse_press("""
+[press]
+name = "board"
+area_m2 = 0.01
+[initial]
+kind = "uniform"
+temperature_C = 20.0
+[[layer]]
+name = "board"
+thickness_mm = 50.0
+conductivity_W_mK = 0.1
+density_kg_m3 = 150.0
+heat_capacity_J_kgK = 840.0
+[boundary.top]
+kind = "measured"
+column = "hot"
+[boundary.bottom]
+kind = "insulated"
+[[sensor]]
+columns = ["inside"]
+at = { layer = "board", depth_mm = 40.0 }
+[core]
+at = { layer = "board", depth_mm = 25.0 }
+""")
+
+
+def heated_board(time_s, *depths_m, conductivity):
+    """Return what `BOARD` is at some depths, 20 °C first, its top held at 220 °C (Carslaw & Jaeger, 3.4)."""
+    odd = (2 * np.arange(200)[:, None] + 1) * np.pi / 2
+    decay = np.exp(-conductivity / (150.0 * 840.0) * (odd / 0.05) ** 2 * time_s)
+    return [
+        220.0 - 200.0 * (2.0 * np.sin(odd) / odd * decay * np.cos(odd * x / 0.05)).sum(axis=0) for x in depths_m
+    ]
+
+
+def test_scans_ten_seconds_apart_are_no_holes_that_contradict_the_model_for_good():
+    """A fifth too little conductivity meets the first scans of a face heated at once badly, later ones well."""
+    time_s = np.arange(0.0, 7200.0, 10.0)
+    inside, core = heated_board(time_s, 0.040, 0.025, conductivity=0.12)
+    sensor = LiveSensor(BOARD, {"ambient.temperature_C": 20.0})
+    estimates = [
+        sensor.update(t, {"hot": 220.0, "inside": v}) for t, v in zip(time_s.tolist(), inside, strict=True)
+    ]
+    late = [(e, truth) for e, truth in zip(estimates, core, strict=True) if e.time_s > 1200.0]
+    assert all(e.valid and e.core_low_C < truth < e.core_high_C for e, truth in late)
+
+
 def test_faces_that_stand_still_in_the_closed_press_are_read_late_and_tell_the_core_no_better(pressing):
     run, truth = pressing
     late = with_columns(run, ("top_", "bottom_"), lambda v: np.r_[np.full(20, v[0]), v[:-20]])
