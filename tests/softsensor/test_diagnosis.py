@@ -18,6 +18,7 @@ from daq.records import Array, InputError, Moments, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
 from daq.words.message import catalogue_of, sentences, words
+from softsensor.diagnosis import verdict
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes, thickness_notes
 from softsensor.diagnosis.causes import _alternatives
 from softsensor.diagnosis.curves import curves_of
@@ -70,8 +71,8 @@ from softsensor.diagnosis.sign_flips import (
     sign_patterns,
 )
 from softsensor.diagnosis.summary import core_messages, sureness, verdict_messages, worth
-from softsensor.diagnosis.unseen import never_seen
-from softsensor.diagnosis.verdict import _lacking_loads, _screened, diagnose
+from softsensor.diagnosis.unseen import never_seen, stage_errors
+from softsensor.diagnosis.verdict import _lacking_loads, _screened, _size_is_sure, diagnose
 from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN, find_effect
 from softsensor.fitting.one_run import fit_run
@@ -221,6 +222,21 @@ def test_the_model_file_carries_the_cause_for_other_commands() -> None:
     assert np.linalg.eigvalsh(read.covariance).min() > -1e-9
 
 
+def test_a_model_file_is_as_unsure_as_panels_differ_in_a_cause_and_pressings_in_contacts() -> None:
+    stage, key = diagnosed("edge_loss", 501, 7, 0.5).final, "edge_loss.W_m3K"
+    alike, differ = (
+        replace(stage, fit=replace(stage.fit, layout=replace(stage.fit.layout, spreads=spreads)))
+        for spreads in ({}, {key: 0.3})
+    )
+    one, other = (dict(model_of(s).effects)["edge_loss"]["W_m3K"] for s in (alike, differ))
+    assert other.value == one.value
+    assert other.sd**2 == pytest.approx(one.sd**2 + (0.3 * one.value) ** 2)
+    curvature = dict(zip(stage.fit.layout.names, np.diag(stage.fit.covariance), strict=True))
+    for name, scatter in stage.population.items():
+        known = model_of(stage).coefficients[name]
+        assert (known.sd / known.value) ** 2 == pytest.approx(curvature[f"log {name}"] + scatter**2)
+
+
 def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
     page = diagnosis_report(diagnosed("edge_loss", 501, 7, 0.5)).replace("\N{NO-BREAK SPACE}", " ")
     for part in ("Heat leaves through the rim", "What it costs", "When the press opens", "Measure next"):
@@ -360,6 +376,66 @@ def test_the_interval_of_a_size_is_students_of_its_curvature_and_its_laws_own_er
     known = replace(stage.fit, hessians=(curvature,) * 7, gradients=(still,) * 7, prior_hessian=0.0 * curvature)
     interval = intervals(known, find_effect("edge_loss"))["W_m3K"].ci95
     assert interval == pytest.approx((size * (1 - 2.447 * 0.05), size * (1 + 2.447 * 0.05)), rel=1e-3)
+
+
+def test_runs_left_out_have_the_numbers_of_the_others_and_not_their_own() -> None:
+    (stage, *_) = diagnosed("edge_loss", 501, 7, 0.5).stages
+    thetas = from_the_others(stage.fit, stage.data, rounds=1)
+    own = [stage.fit.theta] * len(stage.data)
+    left_out, with_their_own = (
+        measure_errors(stage, held_out(stage.fit, stage.data, 3, t), predicted(stage.fit, stage.data, t))
+        for t in (thetas, own)
+    )
+    (found,) = stage_errors([stage], [])
+    assert found.heldout.tolist() == left_out.heldout.tolist()
+    assert found.predicted.tolist() == left_out.predicted.tolist()
+    assert (np.abs(found.predicted - with_their_own.predicted) > 0.01).all()
+
+
+@pytest.mark.parametrize(
+    ("effect", "ends", "sure"),
+    [
+        ("platen_offset", {"top_K": (-1.0, 1.0), "bottom_K": (2.0, 3.0)}, True),
+        ("platen_offset", {"top_K": (-1.0, 1.0), "bottom_K": (-0.1, 3.0)}, False),
+        ("moisture_evaporation", {"moisture_percent": (0.0, 5.0), "temperature_C": (90.0, 110.0)}, False),
+        ("moisture_evaporation", {"moisture_percent": (0.1, 5.0), "temperature_C": (90.0, 110.0)}, True),
+    ],
+)
+def test_a_size_is_sure_where_one_amplitude_cannot_be_nothing(
+    effect: str, ends: dict[str, tuple[float, float]], sure: bool
+) -> None:
+    values = {name: Interval(0.5 * sum(ci), ci) for name, ci in ends.items()}
+    assert _size_is_sure(find_effect(effect), values) is sure
+
+
+@pytest.mark.parametrize(("left", "confirm"), [(False, "Insulate the rim"), (True, "Press three sacrificial")])
+def test_what_is_suspected_is_never_no_effect_and_to_be_confirmed_unless_more_is_left(
+    left: bool, confirm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suspected = diagnosed("edge_loss", 501, 7, 0.5).findings
+    monkeypatch.setattr(verdict, "nearly_named", lambda *_: suspected)
+    monkeypatch.setattr(verdict, "something_left", lambda *_: left)
+    found = diagnose(press(), [run for run, _ in campaign(None, 41, 7)], effects=["edge_loss"], law=False)
+    assert (found.verdict, found.findings) == (Verdict.UNKNOWN_EFFECT, ())
+    assert [f.name for f in found.suspected] == ["edge_loss"]
+    assert str(found.next_measurement).startswith(confirm)
+
+
+def test_a_cause_named_beside_a_suspected_one_has_the_interval_of_both_models(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    runs = [run for run, _ in campaign("edge_loss", 501, 7, 0.5)]
+    alone = diagnose(press(), runs, effects=["edge_loss"])
+    fit = alone.final.fit
+    theta = fit.theta.copy()
+    theta[fit.layout.names.index("edge_loss.W_m3K")] *= 1.2
+    beside = replace(alone.final, fit=replace(fit, theta=theta))
+    monkeypatch.setattr(verdict, "with_the_suspected", lambda *_: (beside,))
+    (found,) = diagnose(press(), runs, effects=["edge_loss"]).findings
+    own, other = (intervals(s.fit, find_effect("edge_loss"))["W_m3K"].ci95 for s in (alone.final, beside))
+    assert own is not None
+    assert other is not None
+    assert found.parameters["W_m3K"].ci95 == (own[0], other[1])
 
 
 def test_an_interval_holds_whichever_of_two_models_is_right_and_one_model_keeps_its_own() -> None:
@@ -820,6 +896,7 @@ def test_rim_sensors_that_fall_are_told_with_their_kelvins() -> None:
     assert "1.2 K" in str(rim_notes(np.array([-1.3, -1.1, -1.2, np.nan]))[0])
     assert rim_notes(np.array([-0.1, 0.1, 0.0])) == ()
     assert rim_notes(np.full(3, np.nan)) == ()
+    assert rim_notes(np.array([-3.0, 2.0, 0.2])) == ()  # as far above as below
 
 
 @pytest.mark.parametrize("seed", [21, 22, 23])

@@ -22,11 +22,11 @@ from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import SharedFit
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.laws import fitting
+from softsensor.diagnosis.laws import choice, fitting
 from softsensor.diagnosis.laws import kinds as laws
 from softsensor.diagnosis.laws.choice import Law, free_law
 from softsensor.diagnosis.laws.curve import resembles
-from softsensor.diagnosis.laws.fitting import STRENGTHS, learned_strength
+from softsensor.diagnosis.laws.fitting import STRENGTHS, FittedLaw, learned_strength
 from softsensor.diagnosis.settling import SettledModel, settle_base
 from softsensor.diagnosis.summary import law_messages
 from softsensor.diagnosis.verdict import _screened
@@ -89,6 +89,25 @@ def law(hidden: str) -> Law | None:
 
 def test_no_law_is_claimed_where_nothing_is_hidden():
     assert law("nothing") is None
+
+
+def test_a_run_that_tipped_the_choice_of_a_kind_has_the_law_that_the_others_would_choose(monkeypatch):
+    """Errors fall by these logarithms; without its first run the other kind is the better one."""
+    stage, tipped, even = settled("nothing"), np.array([0.9, *[0.5] * 7]), np.full(8, 0.52)
+    fell = {"contact_upper": tipped, "contact_lower": even}
+    kinds = [SimpleNamespace(name=name, variable="time_since_closing_s", unit="-") for name in fell]
+    monkeypatch.setattr(choice, "kinds", lambda _: kinds)
+    monkeypatch.setattr(choice, "held_out", lambda *_: None)
+    monkeypatch.setattr(choice, "run_errors", lambda *_: np.ones(8))
+    monkeypatch.setattr(choice, "curve_of", lambda _: np.zeros((0, 4)))
+    monkeypatch.setattr(choice, "resembles", lambda *_: None)
+    monkeypatch.setattr(choice, "_kept", lambda _: {})
+    monkeypatch.setattr(
+        choice, "tried", lambda _, kind: FittedLaw(kind, stage.fit, np.exp(-fell[kind.name]), readings=100)
+    )
+    found = free_law(stage)
+    assert found.kind == "contact_upper"
+    assert found.gain.value_K == pytest.approx(1.0 - np.exp(-(0.52 + 7 * 0.5) / 8), rel=1e-5)
 
 
 def test_too_few_runs_tell_no_law():
