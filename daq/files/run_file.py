@@ -13,6 +13,7 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -52,6 +53,8 @@ _PANDAS_ATTRS = "PANDAS_ATTRS"
 """Where `DataFrame.to_parquet` puts a table's ``attrs``, which are the header: one JSON object."""
 
 
+_UNREADABLE = (pa.ArrowInvalid, OSError, UnicodeDecodeError)
+"""What a damaged Parquet file raises: the last where a wrong bit makes a name no text."""
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 # Numbers without another source were set by hand, 2026-11.
@@ -232,7 +235,10 @@ def _header_line(path: Path, line: int, raw: bytes) -> dict[str, Any]:
 
 
 def _column_names(path: Path, line: int, text: str) -> list[str]:
-    names = [unescaped(cell.strip()) for cell in next(csv.reader([text.strip()]))]
+    try:
+        names = [unescaped(cell.strip()) for cell in next(csv.reader([text.strip()]))]
+    except csv.Error as error:
+        raise InputError(at(path, say("run-quotation", reason=reason_of(error)), line=line)) from error
     if len(names) == 1 and any(mark in text for mark in ";\t"):
         raise InputError(at(path, say("run-no-commas"), line=line))
     check_names(say("at-place", place=str(path), what=say("place-line", line=line)), names)
@@ -257,7 +263,7 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
             if time not in rows.columns:
                 times = _parquet_times(path, file.read(columns=[time])[time], header)
                 rows = Rows({TIME: times, **rows.columns}, rows.texts)
-    except (pa.ArrowInvalid, OSError) as error:
+    except _UNREADABLE as error:
         problem = say("run-no-parquet", reason=reason_of(error))
         raise InputError(at(path, problem, column=_damaged_column(path))) from error
     check_rows(str(path), rows, temperatures=temperatures)
@@ -367,17 +373,12 @@ def _parquet_rows(path: Path, file: pq.ParquetFile, names: Sequence[str]) -> Row
 
 def _damaged_column(path: Path) -> str | None:
     """Return which column of a Parquet file cannot be read; None where that is not known."""
-    try:
-        file = pq.ParquetFile(path, page_checksum_verification=True)
-    except (pa.ArrowInvalid, OSError):
-        return None
-    with file:
+    name: str | None = None
+    with suppress(*_UNREADABLE), pq.ParquetFile(path, page_checksum_verification=True) as file:
         for name in file.schema_arrow.names:
-            try:
-                file.read(columns=[name])
-            except (pa.ArrowInvalid, OSError):
-                return str(name)
-    return None
+            file.read(columns=[name])
+        return None
+    return name
 
 
 def _metadata_value(text: str) -> Any:

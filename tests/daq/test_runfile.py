@@ -258,6 +258,7 @@ def test_windows_line_ends_byte_order_mark_plus_signs_and_empty_lines_are_accept
         ((GOOD[GOOD.index("0.0,") :], ""), r"line 5: no rows follow the header row"),
         ((GOOD[GOOD.index("time_s,") :], ""), r"line 5: the header row is missing"),
         ((",", ";"), r"line 5: cells are not separated by commas"),
+        (("platen_top,", "platen_top\rx,"), r"line 5: .*check its quotation marks and line ends"),
     ],
 )
 def test_a_faulty_run_file_is_refused_by_line_and_column(tmp_path, change, message):
@@ -294,6 +295,17 @@ def test_a_parquet_file_cut_short_is_refused(tmp_path):
     path = tmp_path / "x.parquet"
     write_run(Run("x", {}, np.arange(50.0), {"top_1": np.arange(50.0)}), path)
     path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(InputError, match="not a readable Parquet file"):
+        read_run(path)
+
+
+@pytest.mark.parametrize("place", ["column", "key", "value"])
+def test_a_parquet_file_with_a_wrong_bit_in_a_name_is_refused(tmp_path, place):
+    path = tmp_path / "x.parquet"
+    header = {"key": {b"thick\xffess": b"1"}, "value": {b"thickness": b"\xb3"}}.get(place, {})
+    pq.write_table(pa.table({"time_s": [0.0, 1.0], "top_1": [1.0, 2.0]}).replace_schema_metadata(header), path)
+    if place == "column":
+        path.write_bytes(path.read_bytes().replace(b"top_1", b"t\xb3p_1"))
     with pytest.raises(InputError, match="not a readable Parquet file"):
         read_run(path)
 
