@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import statistics
 from collections import deque
 from collections.abc import Collection
@@ -143,7 +144,12 @@ def _local_instant(local: datetime, before: float, steps: Collection[float]) -> 
 
 
 def _moment(cell: str, layout: str) -> datetime:
-    return datetime.fromisoformat(cell) if layout == "iso" else datetime.strptime(cell, layout)  # noqa: DTZ007
+    if layout == "iso":
+        return datetime.fromisoformat(cell)
+    try:
+        return datetime.strptime(cell, layout)  # noqa: DTZ007
+    except re.error as error:  # of a format that says something twice
+        raise ValueError(cell) from error
 
 
 @lru_cache

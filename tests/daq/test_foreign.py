@@ -432,6 +432,12 @@ def test_a_time_that_no_clock_shows_is_refused_by_line(tmp_path, layout, cell, r
             _timed(tmp_path, layout, cells, f'repeated = "{repeated}"')
 
 
+@pytest.mark.parametrize("layout", ["%H:%H:%S", "%d.%m.%Y %m:%H", "%"])
+def test_a_format_that_says_something_twice_or_nothing_is_refused_by_line(tmp_path, layout):
+    with pytest.raises(InputError, match=re.escape(f"line 2: column t: '08:00:00' is not '{layout}'; set time.f")):
+        _timed(tmp_path, layout, ["08:00:00", "08:00:01"])
+
+
 def test_times_that_differ_by_less_than_a_microsecond_do_not_rise(tmp_path):
     """The store counts microseconds: there they would be one."""
     with pytest.raises(InputError, match=r"line 4: column t: '0\.0000012' does not rise"):
