@@ -70,6 +70,8 @@ class KalmanFilter:
     """Cure of both faces, where a resin is given."""
     panel: int = 0
     """Number of the panel it takes to lie in the press (`live.panels`); 0: the header's."""
+    lean: tuple[Array, Array] = (np.zeros((0, 0)), np.zeros(0))
+    """How coefficients lean on causes in the prior, and where these are absent (`FilterPlan`) (P, P), (P)."""
 
     @staticmethod
     def at_prior(
@@ -104,6 +106,7 @@ class KalmanFilter:
             estimate=StateEstimate(x, cov, error, made.at),
             reach=plan.reach,
             curing=_uncured(setup, made),
+            lean=(lean, plan.neutral),
         )
 
     def take(self, blocks: Blocks) -> None:
@@ -149,6 +152,31 @@ class KalmanFilter:
             keep = math.exp(-elapsed / MISFIT_MEMORY_S)
             self.misfit = keep * self.misfit + (1.0 - keep) * square
             self.worst = max(self.worst, self.misfit)
+
+    @property
+    def excess(self) -> float:
+        """By how much more than it says a variance of it is, 1 at least: by the newest readings or by all so far.
+
+        States far from their prior follow the readings at the price of what was known before them; each
+        innovation is then a usual one, and no misfit shows it.
+        """
+        return max(1.0, self.misfit, self._strayed())
+
+    def _strayed(self) -> float:
+        """Return the squared distance of the states from their prior over their number, a Birge ratio.
+
+        Birge 1932, Phys. Rev. 40, 207. Where the model is right it is 1 in the mean at most, however much the
+        readings tell: a posterior's mean scatters by the prior's covariance without its own, to which what
+        considered parameters E are off adds.
+        """
+        lean, neutral = self.lean
+        free = np.array([not prior.considered for prior in self.linearised.priors])
+        away = self.estimate.mean[: len(free)] + lean @ neutral
+        away = (away - lean @ away)[free]
+        if away @ away <= len(away):
+            return 0.0
+        error = self.estimate.error[: len(free)][free]
+        return float(away @ np.linalg.solve(np.eye(len(away)) + error @ error.T, away)) / len(away)
 
     @property
     def held_K(self) -> Array:  # noqa: N802

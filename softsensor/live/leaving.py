@@ -203,7 +203,7 @@ def _pooled(filters: Sequence[KalmanFilter], read: Sequence[tuple[float, Array, 
         plain = plain if f.panel == panel else math.nan
         plain, held = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, plain, out)
         panel = f.panel
-        variances[own] = np.maximum(variances[own] * max(1.0, f.misfit) + held @ held + variance, 1e-12)
+        variances[own] = np.maximum(variances[own] * f.excess + held @ held + variance, 1e-12)
         first += len(f.names)
     sure = Change(0.0, math.nan, math.nan, 0.0, 0.0)
     mean, _, low, high = mixtures.pool(Components(log, means, variances), sure)

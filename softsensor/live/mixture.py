@@ -121,7 +121,7 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: Sequence[Betwee
         plain = plain if f.panel == panel else math.nan  # another panel is no doubt about a cause's law
         plain, held_K = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, plain, out)
         squares, loose, panel = held_K**2, f.linearised.loose, f.panel
-        variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + squares @ (1.0 - loose)
+        variances[own] = (variances[own] + margin) * f.excess + squares @ (1.0 - loose)
         doubts[own] = squares @ loose
     chances = np.exp(log - log.max())
     chances /= chances.sum()

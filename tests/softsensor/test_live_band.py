@@ -15,7 +15,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile, Scatter
 from softsensor.jobs.model_in_force import combined_model
 from softsensor.live.budget import KINDS, band_from, narrowed
-from softsensor.live.mixture import CHANGED, Mixture, by_size, model_variance
+from softsensor.live.mixture import CHANGED, Mixture, by_size, mix, model_variance
 from softsensor.live.mixture_steps import Components, quantile, without_causes
 from softsensor.live.possible import Possible
 from softsensor.live.sensor import LiveSensor
@@ -480,6 +480,29 @@ def test_bare_sides_that_may_lose_heat_widen_the_band_by_what_they_lose():
     assert estimates.core_low_C < truth < estimates.core_high_C
     lost = 100.0 - truth
     assert 1.96 * lost < estimates.core_high_C - estimates.core_C < 1.96 * 1.4 * lost
+
+
+@pytest.mark.parametrize(("error", "square"), [(0.0, 64.0), (0.5, 64.0 / 1.25)])
+def test_states_far_from_what_was_known_of_them_widen_the_band_as_a_birge_ratio(pressing, error, square):
+    """Readings that only a state eight deviations off can follow are a usual innovation each.
+
+    Of a state that a constant in doubt may have moved by half a deviation so much is a constant's, 1 + 0.5² of it.
+    """
+    run, truth = pressing
+    sensor, _ = followed(run.at_rows(run.time_s < truth.moments.closed_s + 40.0))
+    current, variances = sensor._run.passes.current, []
+    assert max(one.excess for one in current.filters) < 1.5
+    for one in current.filters:
+        one.estimate.mean[:] = one.estimate.error[:] = 0.0
+    for off in (0.0, 8.0):
+        for one in current.filters:
+            start = one.linearised.names.index("initial_K")
+            one.misfit, one.estimate.mean[start], one.estimate.error[start, 0] = 0.0, off, error
+        variances.append(mix(current.filters, 0.0).components.variance[0])
+    free = [prior for prior in current.filters[0].linearised.priors if not prior.considered]
+    assert current.filters[0].excess == pytest.approx(square / len(free))
+    if error == 0.0:  # else what the constant adds is in both
+        assert variances[1] / variances[0] == pytest.approx(square / len(free))
 
 
 def test_insulated_sides_lose_nothing():
