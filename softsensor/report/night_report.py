@@ -153,6 +153,7 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
         "next": _sentence(diagnosis, "next_measurement"),
         "law": [_sentence(one, "sentence") for one in diagnosis.get("law_sentences", ())],
         "plan": _planned(diagnosis.get("plan")),
+        "notes": [Message.from_json(one) for one in diagnosis.get("warnings_said", ())],
         "effects": [
             {
                 "name": say("list-of-names", names=tuple(called(n) for n in e["set"])),

@@ -98,7 +98,10 @@ def sentence(message: Message) -> dict[str, Any]:
     return {"sentence": words(message), "sentence_said": message.to_json()}
 
 
+NOTE = say("note-thickness-alike", thickness=12.1, given=10.0)
 BEYOND = {
+    "warnings": [words(NOTE)],
+    "warnings_said": [NOTE.to_json()],
     "verdict": "unknown_effect",
     "effects": [],
     "law": LAW,
@@ -414,14 +417,14 @@ def test_causes_that_are_not_told_apart_are_one_line_and_a_longer_bar_of_another
 
 
 @pytest.mark.parametrize(
-    ("locale", "law", "best"),
+    ("locale", "law", "best", "note"),
     [
-        ("en-GB", "agrees with the curve of a known cause: evaporating moisture", "press time 165 s"),
-        ("de-DE", "mit der Kurve einer bekannten Ursache", "Presszeit 165 s"),
+        ("en-GB", "agrees with the curve of a known cause: evaporating moisture", "press time 165 s", "12.1 mm"),
+        ("de-DE", "mit der Kurve einer bekannten Ursache", "Presszeit 165 s", "12,1 mm"),
     ],
 )
 def test_a_law_without_a_name_and_the_pressings_that_would_decide_are_shown(
-    plant, served, browser, locale, law, best, tmp_path
+    plant, served, browser, locale, law, best, note, tmp_path
 ):
     address = plant[0]
     page = browser.new_page(locale=locale)
@@ -436,6 +439,7 @@ def test_a_law_without_a_name_and_the_pressings_that_would_decide_are_shown(
     tip_says(chart, r"kJ/m³K \(.* … ")
     expect(page.get_by_test_id("plan")).to_contain_text(best)
     expect(page.get_by_test_id("plan")).to_contain_text("64")
+    expect(page.get_by_test_id("diagnosis")).to_contain_text(note)
     page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8"))
     assert violations(page) == []
     page.screenshot(path=tmp_path / "beyond.png", full_page=True)

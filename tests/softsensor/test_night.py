@@ -699,7 +699,7 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
 
 
-def test_the_page_of_the_night_has_a_law_without_a_name_and_the_pressings_that_would_decide(store, runs):
+def test_the_page_of_the_night_has_notes_a_law_without_a_name_and_the_pressings_that_would_decide(store, runs):
     def kept(message: Message) -> dict[str, object]:
         return {"sentence": words(message), "sentence_said": message.to_json()}
 
@@ -711,10 +711,12 @@ def test_the_page_of_the_night_has_a_law_without_a_name_and_the_pressings_that_w
     point = say("plan-open-suspected", causes=(Message("effect-resin_cure-called"),))
     law = say("law-resembles", cause=Message("effect-moisture_evaporation-called"))
     plan = {"open": [kept(point) | {"pressings": [kept(pressing)]}], "sentences": []}
-    store.put_diagnosis("lab", RIM | {"law_sentences": [kept(law)], "plan": plan})
+    note = say("note-thickness-alike", thickness=12.1, given=10.0)
+    found = {"law_sentences": [kept(law)], "plan": plan, "warnings_said": [note.to_json()]}
+    store.put_diagnosis("lab", RIM | found)
     for language in ("en", "de"):
         page = night_report(night_record(store, outcome), language)
-        for message in (law, say("plan-heading"), point, pressing):
+        for message in (note, law, say("plan-heading"), point, pressing):
             assert words(message, language) in page.replace("\N{NO-BREAK SPACE}", " ")
 
 

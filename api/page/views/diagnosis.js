@@ -38,7 +38,8 @@ function drawDiagnosis(holder, record) {
       pair(text("page-heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("page-predicted"), d.base?.predicted_rmse_K, d.extended?.predicted_rmse_K), pair(text("page-all-sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("page-core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
       gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text(predicted ? "page-gain-predicted" : "page-gain-left-out"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
-    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), inWords(d.next_measurement_said, d.next_measurement)) : null)];
+    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), inWords(d.next_measurement_said, d.next_measurement)) : null,
+    d.warnings?.length ? el("ul", { class: "small" }, d.warnings.map((warning, i) => el("li", {}, inWords(d.warnings_said?.[i], warning)))) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
   const curves = record.has_curves ? el("section", { class: "card", "data-testid": "curves" }) : null;
   const law = lawCard(d);
