@@ -36,6 +36,8 @@ class AdviceBasis:
     core_K: float | None = None  # noqa: N815
     """Error of the core by the plain model, None without a core thermocouple."""
     extended_core_K: float | None = None  # noqa: N815
+    in_some: bool = False
+    """Whether some runs are explained to their noise and others are not."""
 
     def words(self, of_panels: Message, of_rig: Message) -> Message:
         """Return which of two sentences fits: a rig of layers has no panel and no core."""
@@ -58,8 +60,7 @@ def next_measurement(
         causes = tuple(map(called, several.set))
         return say("next-tell-apart", causes=causes, confirm=find_effect(several.set[0]).confirm)
     if verdict is Verdict.UNKNOWN_EFFECT:
-        look = basis.words(say("next-look-there"), say("next-look-there-rig"))
-        return find_effect(suspected[0].name).confirm if suspected else look
+        return _where_something_is_unknown(basis, suspected)
     if not findings:
         none = basis.words(say("next-none"), say("next-none-rig"))
         return say("next-constants", kelvin=core_K) if core_K > CORE_OFF_K else none
@@ -69,6 +70,14 @@ def next_measurement(
     if basis.panel and not core_K and not effect.measuring and not effect.confirmed_in_core:
         return say("next-confirm-and-core", confirm=effect.confirm)
     return effect.confirm
+
+
+def _where_something_is_unknown(basis: AdviceBasis, suspected: Sequence[Finding]) -> Message:
+    if suspected:
+        return find_effect(suspected[0].name).confirm
+    if basis.in_some:
+        return say("next-those-runs")
+    return basis.words(say("next-look-there"), say("next-look-there-rig"))
 
 
 def notes(

@@ -377,6 +377,9 @@ def something_left(left: Remains, runs: int) -> bool:
 def beyond_noise(times_noise: Array) -> tuple[int, ...]:
     """Return which runs' residuals are more than noise, where others' are not; none where all are alike.
 
+    Beyond noise the others leave less than a fifth of what these do (`EXPLAINED`): a run just above a line, among
+    others just below it, is none apart.
+
     Parameters
     ----------
     times_noise
@@ -386,9 +389,14 @@ def beyond_noise(times_noise: Array) -> tuple[int, ...]:
     --------
     >>> beyond_noise(np.array([1.1, 3.0, 0.9])), beyond_noise(np.array([3.0, 4.0])), beyond_noise(np.ones(2))
     ((1,), (), ())
+    >>> beyond_noise(np.array([1.4, 1.6, 1.45]))
+    ()
     """
-    off = np.flatnonzero(times_noise > EXCESS)
-    return tuple(off.tolist()) if len(off) < len(times_noise) else ()
+    off = times_noise > EXCESS
+    if not off.any() or off.all():
+        return ()
+    rest, beyond = (float(np.mean(times_noise[some] ** 2)) - 1.0 for some in (~off, off))
+    return tuple(np.flatnonzero(off).tolist()) if rest <= (1.0 - EXPLAINED) * beyond else ()
 
 
 def pattern_left(left: Remains, runs: int) -> bool:

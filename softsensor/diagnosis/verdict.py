@@ -194,11 +194,11 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     models = [s.fit for s in (*stages, *beside)]
     causes = findings_of(stages, rounds, shares, errors, models[len(stages) - 1 :])
     nearly = nearly_named(rounds, stages[-1], beside)
-    left = zip(stages, tests, shares, errors, strict=True)
+    leaves = zip(stages, tests, shares, errors, strict=True)
     basis = VerdictBasis(
         runs=len(runs),
         proofs=tuple(_proof(f, errors[0], e, noise) for f, e in zip(causes, errors[1:], strict=True)),
-        remains=tuple(_remains(*one, noise) for one in left),
+        remains=tuple(_remains(*one, noise) for one in leaves),
         faulty_channels=bool(columns),
         suspected=bool(nearly),
         let_go=bool(rounds) and rounds[-1].let_go,
@@ -207,9 +207,11 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     named = conclusion.named
     suspected = causes[named:] + nearly
     findings = sensor_findings(faults, columns) + with_wider_intervals(causes[:named], models[named:])
-    to_confirm = () if something_left(basis.remains[named], len(runs)) else suspected
+    left = basis.remains[named]
+    to_confirm = () if something_left(left, len(runs)) else suspected
     base, extended = errors[0], errors[named]
-    advice_basis = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
+    cores = (base.core_rmse_K, extended.core_rmse_K)
+    advice_basis = AdviceBasis(len(runs), bool(press.panel_layers), *cores, in_some=bool(left.off))
     return Diagnosis(
         verdict=conclusion.verdict,
         findings=findings,

@@ -59,8 +59,16 @@ from softsensor.diagnosis.numbers import (
 )
 from softsensor.diagnosis.run_scores import run_scores
 from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candidate, search, switch_scores
-from softsensor.diagnosis.selection import Round, p_values
-from softsensor.diagnosis.settling import START_NOISE, finer, panels_as_usual, run_errors, settle, settle_base
+from softsensor.diagnosis.selection import Round, left_beside, p_values
+from softsensor.diagnosis.settling import (
+    START_NOISE,
+    finer,
+    panels_as_usual,
+    panels_given,
+    run_errors,
+    settle,
+    settle_base,
+)
 from softsensor.diagnosis.sign_flips import (
     MANY,
     PatternTest,
@@ -552,6 +560,19 @@ def test_the_noise_floor_is_the_readings_and_neither_the_misfit_nor_a_cap() -> N
     assert noise_floor([loud]) > 2.0
 
 
+def test_a_model_that_leaves_corners_makes_no_noise() -> None:
+    """Readings that jump from block to block where the loss at the rim is missing, as with a bad model."""
+    stages = diagnosed("edge_loss", 501, 7, 0.5).stages
+    jumps = tuple(
+        replace(run, misfit=run.misfit + 2.0 * (np.floor(data.digest.time / BLOCK_S) % 2)[:, None])
+        for run, data in zip(stages[0].fit.runs, stages[0].data, strict=True)
+    )
+    worse = replace(stages[0], fit=replace(stages[0].fit, runs=jumps))
+    right = noise_floor([stages[1]])
+    assert noise_floor([worse]) > 2.0 * right
+    assert noise_floor([worse, stages[1]]) == noise_floor([stages[1], worse]) == right
+
+
 def test_what_late_scans_make_of_steep_moments_is_no_more_than_noise() -> None:
     plain = diagnosed(None, 41).stages[0]
     runs = tuple(
@@ -637,6 +658,16 @@ def test_panels_that_conduct_otherwise_are_a_second_cause_though_each_could_be_f
 
 
 @pytest.mark.campaign
+def test_constants_that_are_off_explain_only_what_panels_as_given_leave() -> None:
+    base = diagnosed(None, 41).stages[0]
+    model = ThermalModel(press()).extended(find_effect("conductivity_offset"))
+    further = settle(model, [d.digest for d in base.data], START_NOISE)
+    noise = noise_floor([base, further])
+    found = left_beside([base], further)
+    assert found == tuple(residual_K(panels_given(stage)) / noise for stage in (base, further))
+    assert found[0] > 1.05 * residual_K(base) / noise
+
+
 def test_moisture_in_many_runs_gets_no_second_and_third_name() -> None:
     found = diagnose(press(), [run for run, _ in make_campaign(915007, edition(12, 24), "moisture_evaporation")])
     assert [f.set for f in found.findings] == [("moisture_evaporation",)]
@@ -851,6 +882,11 @@ def test_an_effect_in_half_of_the_runs_is_said_to_be_in_those() -> None:
     everywhere = replace(many, remains=(replace(unknown.left, off=()),))
     assert sentences(verdict_messages(everywhere)).startswith("All runs share a residual")
     assert everywhere.warnings == found.remarks
+    advice = [
+        str(next_measurement(Verdict.UNKNOWN_EFFECT, (), AdviceBasis(8, True, in_some=some)))
+        for some in (False, True)
+    ]
+    assert [one.split()[0] for one in advice] == ["Press", "Ask"]
 
 
 def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:
