@@ -279,8 +279,12 @@ def _meant(key: str) -> str | None:
     """Return the key that a mistyped one was meant to be; None for one that is known, free or of its own."""
     base = key.removesuffix(SD)
     root, _, rest = base.partition(".")
+    if base in _TEXTS and base != key:  # a text has no standard deviation
+        return base
     if base in LIMITS or base in _TEXTS or root == _RECORDED or root in _TABLES:
         return None
+    if (number := base.rpartition(".")[0]) in LIMITS and root not in _FREE:  # "….std", "….uncertainty"
+        return f"{number}{SD}"
     known = (*LIMITS, *_TEXTS)
     if (near := nearest(base, known)) is not None:
         return near

@@ -127,7 +127,7 @@ def constant_doubts(
         Scatter from panel to panel by key, as a share of the value (`heat.model_file.ModelFile.scatter`). It goes
         before data sheet, material table and guess, never before what is stated or measured.
     """
-    found = dict(_all(header, press))
+    found = {key: _stated(header, key, doubt) for key, doubt in _all(header, press)}
     for key, share in (learned or {}).items():
         if key in found and found[key].source in (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS):
             found[key] = Doubt(found[key].value, share * abs(found[key].value), Source.LEARNED)
@@ -229,6 +229,12 @@ def _given(
     if stated is not None:
         return Doubt(value, float(stated), Source.STATED)
     return Doubt(value, sd * abs(value) if relative else sd, source)
+
+
+def _stated(header: Mapping[str, Any], key: str, doubt: Doubt) -> Doubt:
+    """Return a doubt as the header states it, whoever gave the number: press file, material table, or nobody."""
+    stated = header.get(f"{key}{SD}")
+    return doubt if stated is None else Doubt(doubt.value, float(stated), Source.STATED)
 
 
 def _number(value: object) -> float | None:

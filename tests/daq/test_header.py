@@ -37,6 +37,9 @@ def file_with(folder, *lines):
         ("setting.platen_temprature_C = 200", "setting.platen_temperature_C"),
         ("ambiant.temperature_C = 20", "ambient.temperature_C"),
         ("remarks = 'x'", "remark"),
+        ("panel.conductivity_W_mK.std = 0.004", "panel.conductivity_W_mK.sd"),
+        ("panel.thickness_mm.uncertainty = 0.1", "panel.thickness_mm.sd"),
+        ("panel.material.sd = 1.0", "panel.material"),
     ],
 )
 def test_a_mistyped_header_key_is_refused_with_the_one_that_was_meant(tmp_path, line, meant):

@@ -65,6 +65,16 @@ def test_a_flux_of_the_run_is_not_as_sure_as_the_press_files_was_stated_to_be():
     )
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("panel.density_kg_m3", 740.0), ("panel.moisture_percent", 7.5), ("ambient.temperature_C", 23.0)],
+)
+def test_a_standard_deviation_counts_where_the_material_table_or_nobody_gives_the_number(key, value):
+    alone = {name: given for name, given in HEADER.items() if name != key} | {f"{key}.sd": 0.7}
+    found = constant_doubts(alone, parse_press(PRESS))[key]
+    assert (found.value, found.sd, found.source) == (value, 0.7, Source.STATED)
+
+
 def test_a_number_of_the_material_table_is_worth_what_the_table_says():
     density = doubts({})["panel.density_kg_m3"]
     assert (density.value, density.relative, density.source) == (740.0, pytest.approx(0.2), Source.MATERIAL_TABLE)
