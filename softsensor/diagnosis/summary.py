@@ -101,7 +101,7 @@ def _without_a_pattern(left: Remains) -> str:
     """Return what says why something is unknown though the runs share no pattern."""
     if not left.panels_alike:
         return "verdict-panels-differ"
-    if left.times_noise > EXCESS:
+    if left.times_noise > EXCESS or left.off:
         return "verdict-differs-from-run-to-run"
     return "verdict-something-beyond-chance" if left.panels_as_given else "verdict-panels-not-as-given"
 

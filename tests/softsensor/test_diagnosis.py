@@ -856,8 +856,9 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
         assert expected in sentences(
             verdict_messages(replace(beyond_chance, remains=(replace(found.left, **panels),)))
         )
-    differs = replace(beyond_chance, remains=(replace(found.left, times_noise=2.0),))
-    assert "differs from run to run" in sentences(verdict_messages(differs))
+    for left in ({"times_noise": 2.0}, {"off": (1,)}):
+        differs = replace(beyond_chance, remains=(replace(found.left, **left),))
+        assert "differs from run to run" in sentences(verdict_messages(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)
     assert sentences(verdict_messages(off)).startswith("No verdict is possible: the model is ")
     doubted = replace(found, suspected=diagnosed("edge_loss", 501, 7, 0.5).findings)
