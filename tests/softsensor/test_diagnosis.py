@@ -80,7 +80,7 @@ from softsensor.diagnosis.sign_flips import (
 )
 from softsensor.diagnosis.summary import core_messages, sureness, verdict_messages, worth
 from softsensor.diagnosis.unseen import never_seen, stage_errors
-from softsensor.diagnosis.verdict import _lacking_loads, _screened, _size_is_sure, diagnose
+from softsensor.diagnosis.verdict import _lacking_loads, _proof, _screened, _size_is_sure, diagnose
 from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN, find_effect
 from softsensor.fitting.one_run import fit_run
@@ -429,6 +429,13 @@ def test_what_is_suspected_is_never_no_effect_and_to_be_confirmed_unless_more_is
     assert str(found.next_measurement).startswith(confirm)
 
 
+def test_a_cause_that_halves_every_run_left_out_leaves_half_however_large_the_runs_errors_are() -> None:
+    found = diagnosed("edge_loss", 501, 7, 0.5)
+    before = replace(found.base, heldout=2.0 * found.extended.heldout)
+    proof = _proof(found.findings[0], before, found.extended, found.noise_floor_K)
+    assert proof.heldout_ratio == pytest.approx(0.5)
+
+
 def test_a_cause_named_beside_a_suspected_one_has_the_interval_of_both_models(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -657,7 +664,6 @@ def test_panels_that_conduct_otherwise_are_a_second_cause_though_each_could_be_f
     assert 0.0 < both[0] < both[1]
 
 
-@pytest.mark.campaign
 def test_constants_that_are_off_explain_only_what_panels_as_given_leave() -> None:
     base = diagnosed(None, 41).stages[0]
     model = ThermalModel(press()).extended(find_effect("conductivity_offset"))
@@ -668,6 +674,7 @@ def test_constants_that_are_off_explain_only_what_panels_as_given_leave() -> Non
     assert found[0] > 1.05 * residual_K(base) / noise
 
 
+@pytest.mark.campaign
 def test_moisture_in_many_runs_gets_no_second_and_third_name() -> None:
     found = diagnose(press(), [run for run, _ in make_campaign(915007, edition(12, 24), "moisture_evaporation")])
     assert [f.set for f in found.findings] == [("moisture_evaporation",)]
