@@ -869,7 +869,11 @@ channel-drifting = Kanal { $column } driftet von seiner Seite weg, um { NUMBER($
 channel-empty = Kanal { $column } hat keinen brauchbaren Wert und bleibt weg
 channel-loose = Kanal { $column } weicht um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS) von seiner Seite ab: Der Fühler ist womöglich lose und bleibt weg
 channel-swapped = Kanal { $column } folgt einer anderen Stelle ({ $place }): vertauscht? Er bleibt weg
-run-no-panel-channel = { $run }: kein brauchbarer Plattenkanal; die Fühler der Pressendatei nennen { $named }
+run-no-panel-channel =
+    { $count ->
+        [0] { $run }: die Pressendatei hat keinen Fühler zum Anpassen; ihr einen ohne role = "validation" geben
+       *[other] { $run }: kein brauchbarer Plattenkanal; die Fühler der Pressendatei nennen { $named }
+    }
 run-press-state-unknown = { $run }: Pressenzustand unbekannt: kein Messwert der Platte und keine Spalte 'closed'; eine davon ergänzen oder eine Pressendatei ohne offene Kontakte nehmen
 
 ## softsensor.fitting: fits, warnings, what to measure

@@ -869,7 +869,11 @@ channel-drifting = channel { $column } drifts away from its face, by { NUMBER($k
 channel-empty = channel { $column } holds no usable value and is left out
 channel-loose = channel { $column } departs from its face by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms: it may be loose, and is left out
 channel-swapped = channel { $column } follows another place ({ $place }): was it swapped? It is left out
-run-no-panel-channel = { $run }: no usable panel channel; the press file's sensors name { $named }
+run-no-panel-channel =
+    { $count ->
+        [0] { $run }: the press file has no sensor to fit with; give it one without role = "validation"
+       *[other] { $run }: no usable panel channel; the press file's sensors name { $named }
+    }
 run-press-state-unknown = { $run }: press state unknown: no reading of the panel and no column 'closed'; add one of them, or take a press file without open contacts
 
 ## softsensor.fitting: fits, warnings, what to measure

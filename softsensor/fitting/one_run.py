@@ -140,7 +140,8 @@ def make_problem(
     signals = collect_signals(case.press, run, moments)
     if not signals.places:
         named = tuple(p for s in case.press.sensor if s.role == "fit" for p in s.columns)
-        raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
+        source = run.source or run.name
+        raise InputError(say("run-no-panel-channel", run=source, named=named, count=len(named)))
     values = replace(model, press=case.press).guesses
     values |= {n: v for n, v in (start or {}).items() if n in values or n in NUISANCES}
     known = known_before(case.press)

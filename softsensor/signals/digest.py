@@ -243,8 +243,9 @@ def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, 
         place: tuple(c for c in columns if c not in excluded) for place, columns in faces_of(press, run)[0].items()
     }
     if not any(usable.values()):
-        named = tuple(p for s in press.sensor for p in s.columns)
-        raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
+        named = tuple(p for s in press.sensor if s.role == "fit" for p in s.columns)
+        source = run.source or run.name
+        raise InputError(say("run-no-panel-channel", run=source, named=named, count=len(named)))
     return {place: columns for place, columns in usable.items() if columns}
 
 

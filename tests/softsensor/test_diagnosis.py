@@ -638,6 +638,14 @@ def test_runs_with_platens_only_are_refused_by_file_and_columns() -> None:
         diagnose(press(), [bare])
 
 
+def test_a_press_file_whose_sensors_are_all_for_validation_is_refused_as_such() -> None:
+    run, truth = campaign(None, 41, 1)[0]
+    apart = press().model_copy(update={"sensor": tuple(s for s in press().sensor if s.role == "validation")})
+    for asked in (lambda: diagnose(apart, [run]), lambda: fit_run(ThermalModel(apart), run, truth.moments)):
+        with pytest.raises(InputError, match="the press file has no sensor to fit with"):
+            asked()
+
+
 def closed_rows(run: Run) -> dict[str, np.ndarray]:
     return {"closed": ((run.time_s > 30.0) & (run.time_s < 60.0)).astype(float)}
 
