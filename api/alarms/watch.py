@@ -31,8 +31,12 @@ SEND_S = 1.0
 """How often it is looked whether a delivery is due: a fifth of the first wait after one that failed. [s]"""
 
 
-def look(store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.inf) -> int:
+def look(
+    store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.inf, at: datetime | None = None
+) -> int:
     """Take up what stands now; return how many alarms are new.
+
+    `at` is the same moment by the clock that servers share, where it is not `now`.
 
     A process nobody has seen yet is missed only after the watch is up for as long as a process may be silent:
     the whole plant may have been started together with it. [s]
@@ -40,7 +44,7 @@ def look(store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.in
     standing = standing_alarms(store, now)
     if up_s < SILENT_S:
         standing = [alarm for alarm in standing if alarm.message.code != NEVER_SEEN]
-    return store.watch_alarms(standing, [way.name for way in ways], now)
+    return store.watch_alarms(standing, [way.name for way in ways], at or now)
 
 
 def send_due(store: Store, ways: Sequence[Way], clock: Callable[[], datetime], steps: Steps | None = None) -> int:
@@ -74,8 +78,10 @@ def _send_next(store: Store, ways: Mapping[str, Way], clock: Callable[[], dateti
 class _AlarmWatch:
     """The two threads, and what is reported of them."""
 
-    def __init__(self, store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> None:
-        self._store, self._ways, self._clock, self._began = store, ways, clock, clock()
+    def __init__(self, store: Store, ways: Sequence[Way], clock: Callable[[], datetime] | None) -> None:
+        self._store, self._ways = store, ways
+        self._clock, self._shared = clock or utc_now, clock or store.alarm_clock
+        self._began = self._clock()
         self._stop = threading.Event()
         looking, sending = self._looking, self._sending = Steps("alarms"), Steps("deliveries")
         self._standstills = [StandstillAlarm(steps, self._journal) for steps in (looking, sending)]
@@ -101,10 +107,10 @@ class _AlarmWatch:
     def _look(self) -> None:
         now = self._clock()
         with self._looking.step():
-            look(self._store, self._ways, now, (now - self._began).total_seconds())
+            look(self._store, self._ways, now, (now - self._began).total_seconds(), self._shared())
 
     def _send(self) -> None:
-        send_due(self._store, self._ways, self._clock, self._sending)
+        send_due(self._store, self._ways, self._shared, self._sending)
 
     def _every(self, seconds: float, work: Callable[[], object]) -> None:
         """Work until the end; what keeps the store away is logged once."""
@@ -125,9 +131,12 @@ class _AlarmWatch:
 
 @contextmanager
 def watching(
-    store: Store, ways: Sequence[Way], clock: Callable[[], datetime] = utc_now
+    store: Store, ways: Sequence[Way], clock: Callable[[], datetime] | None = None
 ) -> Iterator[Callable[[], Message | None]]:
-    """Watch and send until the block ends; it is given what returns why one of the two stands still, or None."""
+    """Watch and send until the block ends; it is given what returns why one of the two stands still, or None.
+
+    What stands is judged by this machine's clock, when an alarm ends or is due by the one that servers share.
+    """
     watch = _AlarmWatch(store, ways, clock)
     watch.start()
     try:

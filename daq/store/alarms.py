@@ -3,9 +3,9 @@
 An alarm and its deliveries, one for each way of every server over the store, are written together; a delivery
 leaves the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A way that
 nobody had for a week gets what stands when it is back, not what came and went meanwhile. A condition that stands
-already is not raised again, servers look one after the other, and a delivery in the hands of a process is put off
-for the others: none is doubled, but for a process killed between the receiver's word and its own note, where the
-receiver knows it by the alarm's number.
+already is not raised again, servers look one after the other and by one clock (`shared_clock`), and a delivery in
+the hands of a process is put off for the others: none is doubled, but for a process killed between the receiver's
+word and its own note, where the receiver knows it by the alarm's number.
 """
 
 from __future__ import annotations
@@ -190,6 +190,14 @@ def acknowledge(connection: Connection, number: int, who: str) -> StoredAlarm:
     if row is None:
         raise InputError(say("alarm-missing", number=number))
     return _alarm(row)
+
+
+def shared_clock(connection: Connection) -> datetime:
+    """Return what the clock shows by which alarms go: a server's own, one for all who meet there."""
+    if connection.dialect.name == "sqlite":
+        return datetime.now(UTC)
+    shown: datetime = connection.execute(select(func.clock_timestamp())).scalar_one()
+    return shown.astimezone(UTC)
 
 
 def take_delivery(connection: Connection, ways: Sequence[str], now: datetime) -> Delivery | None:

@@ -238,6 +238,7 @@ class Store:
 
     # --- alarms -------------------------------------------------------------------------------------
 
+    alarm_clock = _reads(alarms.shared_clock)
     watch_alarms = _writes(alarms.watch)
     acknowledge_alarm = _writes(alarms.acknowledge)
     take_delivery = _writes(alarms.take_delivery)

@@ -27,7 +27,8 @@ from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import AuthResult
 from cryptography import x509
 
-from api.alarms.watch import look, send_due
+from api.alarms import watch
+from api.alarms.watch import look, send_due, watching
 from api.alarms.ways import NotDelivered, ways_of
 from api.answers.alarms import alarm_of
 from api.answers.health import NEVER_SEEN, SILENT_S, health_of, standing_alarms
@@ -334,6 +335,23 @@ def test_what_a_server_sees_whose_clock_is_ahead_is_one_alarm_and_ends_when_it_i
     for s in range(200, 204 + int(CALM_S), 2):
         assert store.watch_alarms([], [MAIL], seconds(s)) == 0
     assert [alarm.ended_utc is None for alarm in store.alarms().items] == [False]
+
+
+@pytest.mark.parametrize("off_s", [-900.0, 900.0])
+def test_what_one_server_sees_another_does_not_end_whose_clock_differs(store, store_url, monkeypatch, off_s):
+    looks = {False: 0, True: 0}
+
+    def standing(opened, now):
+        looks[other := abs((now - datetime.now(UTC)).total_seconds()) > 60.0] += 1
+        return [] if other else [HOT]  # as where a reading is too old by this clock
+
+    monkeypatch.setattr(watch, "standing_alarms", standing)
+    monkeypatch.setattr(watch, "LOOK_S", 0.01)
+    with open_store(store_url) as beside, watching(store, []):
+        monkeypatch.setattr(watch, "utc_now", lambda: datetime.now(UTC) + timedelta(seconds=off_s))
+        with watching(beside, []):
+            wait_until(lambda: min(looks.values()) > 10)
+    assert [alarm.ended_utc for alarm in store.alarms().items] == [None]
 
 
 @pytest.mark.parametrize("ahead_s", [300.0, 86400.0])

@@ -51,7 +51,7 @@ def _raised_now(store: Store) -> dict[str, Message]:
     pending = store.alarms(pending=True, limit=MAX_PAGE).items
     known = {alarm.key for alarm in pending if alarm.ended_utc is None}
     if not known.issuperset(alarm.key for alarm in due):
-        store.watch_alarms(due, (), now)
+        store.watch_alarms(due, (), store.alarm_clock())
     return {alarm.key: alarm.message for alarm in standing}
 
 
