@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ class WrittenSoFar(Mapping[str, LastWritten]):
         self._file, self._store = file, store
         self._last = {} if file is None else _read(file, store)
         self._kept = dict(self._last)
+        self._keeping: threading.Thread | None = None
 
     def __getitem__(self, press: str) -> LastWritten:
         return self._last[press]
@@ -56,18 +58,35 @@ class WrittenSoFar(Mapping[str, LastWritten]):
             self._last[press] = self._last.get(press, LastWritten(-1)).with_batch(batch)
 
     def keep(self) -> None:
-        """Keep it for a later process; one that finds an older state of it, as on a full disk, knows less."""
-        if self._file is None or self._last == self._kept:
+        """Keep it for a later process, beside other work: a disk that hangs holds up no server.
+
+        A later process that finds an older state of it, as on a full disk, knows less.
+        """
+        if self._file is None or self._last == self._kept or (self._keeping and self._keeping.is_alive()):
             return
-        presses = {press: [last.scan, last.run] for press, last in self._last.items()}
-        part = self._file.with_name(f"{self._file.name}.part")
+        self._keeping = threading.Thread(target=self._put, args=(self._file, dict(self._last)), daemon=True)
+        self._keeping.start()
+
+    def keep_last(self) -> None:
+        """Keep it at the end, and wait for the disk."""
+        self._wait()
+        self.keep()
+        self._wait()
+
+    def _wait(self) -> None:
+        if self._keeping is not None:
+            self._keeping.join()
+
+    def _put(self, to: Path, what: Mapping[str, LastWritten]) -> None:
+        presses = {press: [last.scan, last.run] for press, last in what.items()}
+        part = to.with_name(f"{to.name}.part")
         with suppress(OSError):
             with part.open("w", encoding="utf-8") as file:
                 file.write(sealed(json.dumps({"store": self._store, "presses": presses})))
                 file.flush()
                 os.fsync(file.fileno())
-            part.replace(self._file)
-            self._kept = dict(self._last)
+            part.replace(to)
+            self._kept = dict(what)
 
     def ends_before(self, batch: WriteBatch) -> None:
         """Note that the store should have all that came before a batch with scans, and perhaps no more."""

@@ -169,7 +169,7 @@ class Outbox:
                 self._keep()
             elif self._waiting or self._beat or self.behind:
                 self._deliver()
-        self._so_far.keep()
+        self._so_far.keep_last()
 
     def _take(self) -> None:
         """Move all that was put to the waiting list, and report what the buffer went through."""

@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -330,6 +331,33 @@ def test_what_a_server_put_back_to_an_older_state_lacks_is_told_by_a_recorder_st
             alarms.append(told(notes))
     lost = "scans 10 to 19 of press lab" if state == "older" else "scans 0 to 19 of press lab"
     assert [[lost in alarm for alarm in one] for one in alarms] == [[True], []]
+
+
+def test_a_disk_that_hangs_under_what_is_kept_for_a_later_process_holds_up_no_healthy_server(
+    postgresql_url, tmp_path, monkeypatch
+):
+    hangs, free = threading.Event(), threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda file: (hangs.set(), free.wait()))
+    with open_store(postgresql_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, notes = started(store, tmp_path)
+        put = iter(range(10000))
+
+        def hanging():
+            outbox.put(batch(key, next(put)))
+            return hangs.is_set()
+
+        try:
+            wait_until(hanging)
+            last = next(put)
+            outbox.put(batch(key, last))
+            wait_until(lambda: outbox.written == last + 1)
+        finally:
+            free.set()
+        outbox.close()
+        (kept,) = tmp_path.glob("*.written.json")
+        assert f'"lab": [{last}, null]' in kept.read_text()
+    assert notes.journalled == []
 
 
 def test_of_another_store_or_by_a_damaged_file_nothing_is_said_to_have_gone_back(postgresql_url, tmp_path):
