@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from daq.compiled import compiled
+from daq.press.press_file import SD
 from daq.printed import on_screen
 from daq.records import Array
 from softsensor.effects import clock_offset
@@ -438,7 +439,8 @@ def carried_among(problem: FitProblem) -> list[int]:
 
 
 def _carried(problem: FitProblem, key: str) -> bool:
-    return key.startswith("panel.") or problem.doubts[key].source is Source.STATED
+    stated = problem.doubts[key].source is Source.STATED or f"{key}{SD}" in problem.case.run.header
+    return stated or key.startswith("panel.")
 
 
 def _key(problem: FitProblem, i: int) -> str:

@@ -128,8 +128,9 @@ def constant_doubts(
         before data sheet, material table and guess, never before what is stated or measured.
     """
     found = {key: _stated(header, key, doubt) for key, doubt in _all(header, press)}
+    general = (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS)
     for key, share in (learned or {}).items():
-        if key in found and found[key].source in (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS):
+        if key in found and found[key].source in general and f"{key}{SD}" not in header:
             found[key] = Doubt(found[key].value, share * abs(found[key].value), Source.LEARNED)
     return found
 
@@ -232,9 +233,10 @@ def _given(
 
 
 def _stated(header: Mapping[str, Any], key: str, doubt: Doubt) -> Doubt:
-    """Return a doubt as the header states it, whoever gave the number: press file, material table, or nobody."""
+    """Return a doubt as the header states it, whoever gave the number; one that nobody gave stays a guess."""
     stated = header.get(f"{key}{SD}")
-    return doubt if stated is None else Doubt(doubt.value, float(stated), Source.STATED)
+    source = Source.GUESS if doubt.source is Source.GUESS else Source.STATED
+    return doubt if stated is None else Doubt(doubt.value, float(stated), source)
 
 
 def _number(value: object) -> float | None:

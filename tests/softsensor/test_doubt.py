@@ -66,13 +66,18 @@ def test_a_flux_of_the_run_is_not_as_sure_as_the_press_files_was_stated_to_be():
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("panel.density_kg_m3", 740.0), ("panel.moisture_percent", 7.5), ("ambient.temperature_C", 23.0)],
+    ("key", "value", "source"),
+    [
+        ("panel.density_kg_m3", 740.0, Source.STATED),
+        ("panel.moisture_percent", 7.5, Source.GUESS),
+        ("ambient.temperature_C", 23.0, Source.GUESS),
+    ],
 )
-def test_a_standard_deviation_counts_where_the_material_table_or_nobody_gives_the_number(key, value):
+def test_a_standard_deviation_counts_where_the_material_table_or_nobody_gives_the_number(key, value, source):
     alone = {name: given for name, given in HEADER.items() if name != key} | {f"{key}.sd": 0.7}
-    found = constant_doubts(alone, parse_press(PRESS))[key]
-    assert (found.value, found.sd, found.source) == (value, 0.7, Source.STATED)
+    for learned in ({}, {key: 0.5}):
+        found = constant_doubts(alone, parse_press(PRESS), learned)[key]
+        assert (found.value, found.sd, found.source) == (value, 0.7, source)
 
 
 def test_a_number_of_the_material_table_is_worth_what_the_table_says():
@@ -128,7 +133,8 @@ def test_steam_takes_the_moisture_that_the_constants_have(header):
 def test_steam_of_a_panel_whose_moisture_nobody_gave_rests_on_no_guess():
     resin = read_resin(Path("deploy/resins/urea_formaldehyde.toml"))
     assert doubts({})["panel.moisture_percent"].source is Source.GUESS
-    assert np.isnan(resin_setup(resin, HEADER, parse_press(PRESS)).moisture).all()
+    for sd in ({}, {"panel.moisture_percent.sd": 0.7}):  # how sure a number is makes none
+        assert np.isnan(resin_setup(resin, HEADER | sd, parse_press(PRESS)).moisture).all()
 
 
 def test_a_constant_of_the_header_is_as_unsure_in_share_whatever_its_size():

@@ -11,7 +11,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.fitting.constants import ConstantFit, changed_run, constants_of, scatter_of, with_constants
 from softsensor.fitting.one_run import make_problem
-from softsensor.fitting.problem import minimise
+from softsensor.fitting.problem import carried_among, minimise
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import Scatter
 from softsensor.jobs.campaign import fit_runs
@@ -133,6 +133,15 @@ def test_the_live_sensors_model_learns_the_scatter_from_the_fits_of_the_newest_r
 def test_what_is_stated_of_a_panel_says_nothing_of_the_others():
     stated = ConstantFit(1.0, 0.02, Source.STATED, 1.01, 0.01)
     assert scatter_of([{K: stated}]) == {}
+
+
+@pytest.mark.parametrize(("sd", "carried"), [({}, False), ({"ambient.temperature_C.sd": 2.0}, True)])
+def test_intervals_carry_a_room_that_nobody_gave_where_its_deviation_is_stated(sd, carried):
+    run = _campaign([40], 0.0, runs=1)[0][0]
+    header = {key: value for key, value in run.header.items() if not key.startswith("ambient.")} | sd
+    problem = make_problem(MODEL, replace(run, header=header), moments_of(run, PRESS))
+    names = [problem.unknowns[i].name for i in carried_among(problem)]
+    assert any("ambient.temperature_C" in name for name in names) == carried
 
 
 def test_a_table_in_temperature_moves_as_a_whole():
