@@ -139,7 +139,7 @@ def check_header(header: Mapping[str, Any], place: object) -> None:
         Naming `place`, key, value and limit, or the key that was meant.
     """
     for key, value in header.items():
-        if (meant := _meant(key)) is not None:
+        if (meant := _meant(key) or _meant_as_sd(key, value)) is not None:
             raise InputError(at(place, say("header-key-meant", key=key, meant=meant)))
         _check_words(key, value, place)
         if key.endswith(SD):
@@ -283,8 +283,6 @@ def _meant(key: str) -> str | None:
         return base
     if base in LIMITS or base in _TEXTS or root == _RECORDED or root in _TABLES:
         return None
-    if (number := base.rpartition(".")[0]) in LIMITS and root not in _FREE:  # "….std", "….uncertainty"
-        return f"{number}{SD}"
     known = (*LIMITS, *_TEXTS)
     if (near := nearest(base, known)) is not None:
         return near
@@ -292,6 +290,16 @@ def _meant(key: str) -> str | None:
         return next((key for key in known if key.lower().endswith(f".{root.lower()}")), None)
     near_root = nearest(root, _ROOTS) if root not in _ROOTS else None
     return near_root and f"{near_root}.{rest}"
+
+
+def _meant_as_sd(key: str, value: object) -> str | None:
+    """Return the key of the deviation that a number below another one was meant to be: "….std", "….uncertainty".
+
+    A text there, as where a number comes from, is a remark.
+    """
+    number, _, name = key.rpartition(".")
+    known = key in LIMITS or f".{name}" == SD or key.partition(".")[0] in _FREE
+    return f"{number}{SD}" if number in LIMITS and not known and not math.isnan(number_of(value)) else None
 
 
 def _check_sd(key: str, value: object, place: object) -> None:

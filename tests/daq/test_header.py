@@ -47,6 +47,14 @@ def test_a_mistyped_header_key_is_refused_with_the_one_that_was_meant(tmp_path, 
         read_run(file_with(tmp_path, line))
 
 
+def test_a_text_below_a_number_is_kept_with_a_question(tmp_path):
+    run = read_run(file_with(tmp_path, "panel.thickness_mm = 16.0", "panel.thickness_mm.source = 'caliper'"))
+    assert run.header["panel.thickness_mm.source"] == "caliper"
+    assert [m.arguments for m in doubts(run.header) if m.code == "header-key-unknown"] == [
+        {"key": "panel.thickness_mm.source"}
+    ]
+
+
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
