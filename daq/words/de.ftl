@@ -1051,7 +1051,11 @@ next-none = Keine nötig; ein Kernfühler in einer Opferplatte im Monat würde d
 next-none-confirmed = Keine nötig: Kernfühler bestätigen es (vorher { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, nachher { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K).
 next-none-rig = Keine nötig.
 next-tell-apart = Um diese Ursachen zu unterscheiden ({ $causes }): { $confirm }
-next-those-runs = Fragen, worin sich die Pressungen, in denen mehr als Rauschen bleibt, von den anderen unterscheiden, und sie für sich diagnostizieren.
+next-those-runs = Herausfinden, worin sich die Pressungen, in denen mehr als Rauschen bleibt, von den anderen unterscheiden, und sie für sich diagnostizieren{ $more ->
+        [0] .
+        [one] , zusammen mit einer weiteren dieser Art: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
+       *[other] , zusammen mit { $more } weiteren dieser Art: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
+    }
 note-cells-jump = { $count } von { $runs } Pressungen: { $cells ->
         [one] ein einzelner Wert von { $column } springt um mehr als { $kelvin } K und wurde weggelassen
        *[other] { $cells } einzelne Werte von { $column } springen um mehr als { $kelvin } K und wurden weggelassen

@@ -1051,7 +1051,10 @@ next-none = None needed; a core thermocouple in one sacrificial panel a month wo
 next-none-confirmed = None needed: core thermocouples confirm it ({ NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off before, { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after).
 next-none-rig = None needed.
 next-tell-apart = To distinguish these causes ({ $causes }): { $confirm }
-next-those-runs = Ask in what the runs in which more than noise is left differ from the others, and diagnose them by themselves.
+next-those-runs = Find out how the runs in which more than noise is left differ from the others, and diagnose them by themselves{ $more ->
+        [0] .
+       *[other] , with { $more } more like them: below { $least } runs a cause cannot be distinguished from chance.
+    }
 note-cells-jump = { $count } of { $runs } runs: { $cells ->
         [one] a single cell of { $column } jumps by more than { $kelvin } K and was left out
        *[other] { $cells } single cells of { $column } jump by more than { $kelvin } K and were left out

@@ -36,8 +36,8 @@ class AdviceBasis:
     core_K: float | None = None  # noqa: N815
     """Error of the core by the plain model, None without a core thermocouple."""
     extended_core_K: float | None = None  # noqa: N815
-    in_some: bool = False
-    """Whether some runs are explained to their noise and others are not."""
+    apart: int = 0
+    """How many runs are not explained to their noise, where the others are."""
 
     def words(self, of_panels: Message, of_rig: Message) -> Message:
         """Return which of two sentences fits: a rig of layers has no panel and no core."""
@@ -75,8 +75,8 @@ def next_measurement(
 def _where_something_is_unknown(basis: AdviceBasis, suspected: Sequence[Finding]) -> Message:
     if suspected:
         return find_effect(suspected[0].name).confirm
-    if basis.in_some:
-        return say("next-those-runs")
+    if basis.apart:
+        return say("next-those-runs", more=max(FEW_RUNS - basis.apart, 0), least=FEW_RUNS)
     return basis.words(say("next-look-there"), say("next-look-there-rig"))
 
 

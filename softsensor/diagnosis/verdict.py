@@ -211,7 +211,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     to_confirm = () if something_left(left, len(runs)) else suspected
     base, extended = errors[0], errors[named]
     cores = (base.core_rmse_K, extended.core_rmse_K)
-    advice_basis = AdviceBasis(len(runs), bool(press.panel_layers), *cores, in_some=bool(left.off))
+    advice_basis = AdviceBasis(len(runs), bool(press.panel_layers), *cores, apart=len(left.off))
     return Diagnosis(
         verdict=conclusion.verdict,
         findings=findings,

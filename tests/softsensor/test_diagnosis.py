@@ -899,10 +899,12 @@ def test_an_effect_in_half_of_the_runs_is_said_to_be_in_those() -> None:
     assert sentences(verdict_messages(everywhere)).startswith("All runs share a residual")
     assert everywhere.warnings == found.remarks
     advice = [
-        str(next_measurement(Verdict.UNKNOWN_EFFECT, (), AdviceBasis(8, True, in_some=some)))
-        for some in (False, True)
+        str(next_measurement(Verdict.UNKNOWN_EFFECT, (), AdviceBasis(8, True, apart=runs)))
+        for runs in (0, 1, 6, 7)
     ]
-    assert [one.split()[0] for one in advice] == ["Press", "Ask"]
+    assert [one.split()[0] for one in advice] == ["Press", "Find", "Find", "Find"]
+    assert "themselves, with 5 more like them: below 6 runs" in advice[1]  # fewer give no verdict
+    assert all(one.endswith("by themselves.") for one in advice[2:])
 
 
 def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:
