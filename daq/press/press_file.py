@@ -517,7 +517,7 @@ class Press(Table):
     def _check_initial(self) -> None:
         begins = self.initial
         if begins.kind is InitialKind.UNIFORM and begins.temperature_C is None and not self.panel_layers:
-            raise ValueError(_of("initial.kind", InitialKind.UNIFORM, say("press-initial-needs")))
+            raise ValueError(_of("initial.kind", begins.kind.value, say("press-initial-needs")))
 
     def _check_prior(self, name: str, prior: Prior) -> None:
         if name not in self.coefficient_names:

@@ -81,6 +81,7 @@ def test_press_without_an_open_entry_has_one_state() -> None:
         ),
         (PLATE + "[core]\nat = { layer = 'plate' }", r"core\.at\.depth_mm: is missing; add it"),
         (PLATE + "[coefficients.h]\nguess = 1e12", r"coefficients\.h\.guess = 1000000000000\.0: must be less"),
+        (PLATE + "[initial]\nkind = 'uniform'", r"initial\.kind = 'uniform': .*needs temperature_C"),
         (PLATE.replace("45.0", "true"), r"layer\.0\.conductivity_W_mK = True: .*valid number"),
         (PLATE.replace("45.0", "'45'"), r"layer\.0\.conductivity_W_mK = '45': .*valid number"),
         (PANEL + "[press]\narea_m2 = '2'", r"press\.area_m2 = '2': .*valid number"),
