@@ -98,10 +98,11 @@ def _keep_house(store: Store, press: str, rules: Rules, now: datetime) -> OldSca
 
 
 def _check(store: Store, press: str, rules: Rules, now: datetime, deadline: float) -> None:
-    """Read files whose turn it is, first those that were not sound; nothing is deleted."""
+    """Read files whose turn it is, first those that were not sound, and none twice; nothing is deleted."""
     store.recheck_unsound(rules.began)
+    due = min(now - CHECKED_EVERY, rules.began)
     while time.monotonic() < deadline:
-        checked = store.check_archive(now - CHECKED_EVERY)
+        checked = store.check_archive(due)
         for problem in checked.unsound:
             store.log("warning", PROCESS, problem, press)
         for run in checked.mended:
