@@ -58,16 +58,33 @@ class Mesh:
         Quadratic in the three nearest cells of the layer, so second order up to its faces.
         """
         weights = np.zeros(len(self.dx))
+        cells, nodes = self._nearest(layer, height)
+        for j, cell in enumerate(cells):
+            others = np.delete(nodes, j)
+            weights[cell] = np.prod((height - others) / (nodes[j] - others))
+        return weights
+
+    def slope(self, layer: str, height: float) -> Array:
+        """Return the weights (n) that read how the temperature at a place changes with its height. [1/m]
+
+        The derivative of `place` by the height, of the same cells.
+        """
+        weights = np.zeros(len(self.dx))
+        cells, nodes = self._nearest(layer, height)
+        for j, cell in enumerate(cells):
+            others = np.delete(nodes, j)
+            weights[cell] = np.polyval(np.polyder(np.poly(others)), height) / np.prod(nodes[j] - others)
+        return weights
+
+    def _nearest(self, layer: str, height: float) -> tuple[range, Array]:
+        """Return the cells of a layer, three at most, nearest to a height, and their centres. [m]"""
         x = self.centres(layer)
         count = min(3, len(x))
         start = int(np.clip(np.searchsorted(x, height) - (count + 1) // 2, 0, len(x) - count))
         if count == 3 and start + 3 < len(x) and abs(x[start + 3] - height) < abs(x[start] - height):
             start += 1
-        nodes = x[start : start + count]
-        for j in range(count):
-            others = np.delete(nodes, j)
-            weights[self.cells(layer).start + start + j] = np.prod((height - others) / (nodes[j] - others))
-        return weights
+        first = self.cells(layer).start + start
+        return range(first, first + count), x[start : start + count]
 
 
 def graded_widths(thickness: float, diffusivity: float, fineness: float = 1.0) -> Array:

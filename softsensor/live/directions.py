@@ -1,9 +1,10 @@
 """Parameters of the live sensor's filters that belong to no effect: doubtful constants, and what any model lacks.
 
 *Constants* are as far off as `signals.doubt` says: the panel's, those of all layers of one material together, the
-flux onto a face. *Discrepancy* is what is left when every constant is right: a contact that wanders while the
-press is closed, which is an unknown slow heat flux at the faces, and a small source inside. No hypothesis makes
-these certain, and faces cannot separate them from coefficients: they are considered (`kalman_steps`).
+flux onto a face, the depth of a buried sensor. *Discrepancy* is what is left when every constant is right: a
+contact that wanders while the press is closed, which is an unknown slow heat flux at the faces, and a small source
+inside. No hypothesis makes these certain, and faces cannot separate them from coefficients: they are considered
+(`kalman_steps`).
 Estimated, with 20 % of freedom for k and c, they drew the core 1 to 3 K off on panels whose constants were exact
 (held: 0.1 to 0.3 K) and left most of a pressing with a hidden cause without an answer (campaign seed 78,
 2026-11-22). The *start* between two first readings is a parameter like any other.
@@ -27,7 +28,7 @@ import numpy as np
 
 from daq.materials import GRAIN_SD, is_solid_wood
 from daq.press.header import listed_constants
-from daq.press.press_file import SD, BoundaryKind, Press
+from daq.press.press_file import SD, At, BoundaryKind, Press
 from daq.records import Array, Panel, Run
 from softsensor.heat.assembly import layer_constants
 from softsensor.heat.build import Build
@@ -63,7 +64,7 @@ CONSTANT, DISCREPANCY = "constant", "discrepancy"
 
 @dataclass(frozen=True)
 class Unowned:
-    """A parameter that no effect owns, in relative units: what it changes for 1."""
+    """A parameter that no effect owns, in relative units, a depth in m: what it changes for 1."""
 
     prior: Unknown
     layers: tuple[str, ...] = ()
@@ -77,6 +78,8 @@ class Unowned:
     """Number of the contact that wanders."""
     ramp_s: tuple[float, float] = (0.0, 0.0)
     """From when to when since closing."""
+    at: At | None = None
+    """Place of the sensors whose depth it is: what they read changes, no temperature."""
 
     @property
     def is_constant(self) -> bool:
@@ -119,7 +122,7 @@ def directions_of(
         own = _panel_spread({key: s.panel for key, s in model.scatter.items()}, usual, model.missing.nothing)
         panels = {key: own.get(key, size) for key, size in PANEL_TO_PANEL.items()}
     gaps = [Unowned(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
-    constants = (*_constants(press, run, panel, doubts, panels), *_fluxes(doubts))
+    constants = (*_constants(press, run, panel, doubts, panels), *_fluxes(doubts), *_depths(press, run, doubts))
     return (*constants, *gaps, *_discrepancy(press, panel, model))
 
 
@@ -189,6 +192,15 @@ def _fluxes(doubts: Mapping[str, Doubt]) -> Iterator[Unowned]:
         keys = (f"boundary.{side}.{name}" for name in ("incident_W_m2", "absorptivity"))
         if both := [doubts[key].relative for key in keys if key in doubts]:
             yield Unowned(Unknown(f"{CONSTANT} flux {side}", 0.0, math.hypot(*both), considered=True), flux=end)
+
+
+def _depths(press: Press, run: Run, doubts: Mapping[str, Doubt]) -> Iterator[Unowned]:
+    """Yield the depths of buried sensors that the run has, one for all that share a place."""
+    for sensor in {sensor.label: sensor for sensor in press.sensors_of(run).values()}.values():
+        if isinstance(sensor.at, At):
+            number = press.sensor.index(sensor)
+            sd = doubts[f"sensor.{number}.at.depth_mm"].sd / 1000.0
+            yield Unowned(Unknown(f"{CONSTANT} sensor {number} depth", 0.0, sd, considered=True), at=sensor.at)
 
 
 @dataclass(frozen=True)

@@ -359,6 +359,7 @@ def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
     model = one.linearised.model
     s, factors = model.state, model.factors
     chain = _chain(model.chain, np.empty((len(model.chain.true), 2)))
+    chain = chain._replace(moved=np.full_like(chain.moved, -1))
     chain.level[0] = model.places[-1] @ cells  # the core there, of the last output
     state = s._replace(
         t=cells.copy(), t_before=s.t_before + (cells - s.t), done=s.done.copy(), clock=s.clock.copy(),

@@ -58,6 +58,8 @@ class SensorChain(NamedTuple):
 
     opposite: NDArray[np.bool_]
     """Whether a press face lies opposite each place while closed (M)."""
+    moved: Integers
+    """Column of the parameter by which each place is moved in height, -1 where it is none (M)."""
     lag: float
     """[s]"""
     footprint: float
@@ -104,7 +106,9 @@ class LinearModel(NamedTuple):
     nonlinear: bool
     factors: Factors
     places: Array
-    """Weights of the outputs: sensors' places, press faces opposite them, core (2 M + 1, n)."""
+    """Weights of the outputs: sensors' places, what is beside each, core (2 M + 1, n).
+
+    Beside a place is the press face opposite, or what its reading changes by if the place is moved by one unit."""
     moving: Integers
     """Columns of the moments of insertion, closing and opening, -1 where they are no parameters (3)."""
     state: kernels.State
@@ -245,7 +249,7 @@ def _set_loads(drive, k, by_load, outside, along):
 def read_sensors(chain, out, d_out, k, h, closed):
     """Bring the measuring chain to output row `k`, `h` seconds after the last (0: settled).
 
-    The outputs are the sensors' places, the press faces opposite them, and the core.
+    The outputs are the sensors' places, what is beside them, and the core (`LinearModel.places`).
     """
     m = chain.read.shape[0]
     p = chain.d_level.shape[0]
@@ -261,6 +265,8 @@ def read_sensors(chain, out, d_out, k, h, closed):
             row[q] = d_out[q, k, a]
         row[p] = 0.0
         row[p + 1] = 0.0
+        if chain.moved[a] >= 0:
+            row[chain.moved[a]] += out[k, m + a]
         if chain.opposite[a] and closed > 0.0:
             w = chain.footprint * closed
             gap = out[k, m + a] - y

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.press.header import panel_of
-from daq.press.press_file import SD, InitialKind, Press
+from daq.press.press_file import SD, InitialKind, Press, label_of
 from daq.records import Array, Moments, Run
 from softsensor.effects import Role, find_effect
 from softsensor.heat import implicit_steps as kernels
@@ -229,10 +229,16 @@ def _model(
     by_row = units[:, None]
     t, drive = build.tangents, build.drive
     rows = [case.labels.index(label) for label in setup.labels]
-    places = np.concatenate([case.places[rows], case.press_face[rows], case.places[-1:]])
+    beside, moved = case.press_face[rows], np.full(len(rows), -1, dtype=np.int64)
+    for direction in setup.directions:
+        if direction.at is not None:
+            a, column = setup.labels.index(label_of(direction.at)), names.index(direction.prior.name)
+            beside[a] = units[column] * case.mesh.slope(direction.at.layer, direction.at.depth_mm / 1000.0)
+            moved[a] = column
+    places = np.concatenate([case.places[rows], beside, case.places[-1:]])
     s = build.start
     state = s._replace(s=s.s * by_row, s_before=s.s_before * by_row, s_done=s.s_done * by_row)
-    chain = _chain(build, np.asarray(case.press_face[rows].any(axis=1)), len(names))
+    chain = _chain(build, np.asarray(case.press_face[rows].any(axis=1)), moved, len(names))
     settle_sensors(state, chain, places)
     return LinearModel(
         stack=build.stack,
@@ -273,10 +279,11 @@ def _running(steps: Array) -> Array:
     return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 
 
-def _chain(build: Build, opposite: NDArray[np.bool_], parameters: int) -> SensorChain:
+def _chain(build: Build, opposite: NDArray[np.bool_], moved: Integers, parameters: int) -> SensorChain:
     m, p = len(opposite), parameters
     return SensorChain(
         opposite=opposite,
+        moved=moved,
         lag=float(build.terms.lag) + max(float(build.terms.clock), 0.0),
         footprint=float(build.terms.footprint),
         true=np.zeros(m),

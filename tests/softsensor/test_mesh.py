@@ -377,3 +377,12 @@ def test_a_layer_parted_from_a_measured_end_loses_heat_to_the_air(make_rig, meth
     expected = air.solve(air.prepare(run, NEVER), {"h_air": 12.0}, ("h_air",), method=method)
     assert np.abs(found.sensors - expected.sensors).max() < 1e-6
     assert np.abs(found.d_sensors["h_air"] - expected.d_sensors["h_air"]).max() < 1e-6
+
+
+@pytest.mark.parametrize("height", [0.0, 0.3e-3, 7.9e-3, 16e-3])
+def test_the_slope_of_a_parabola_in_height_is_read_exactly_up_to_the_faces(height):
+    mesh = build_mesh([("plate", 0.01, 1e-5), ("panel", 0.016, 1e-7)])
+    t = np.zeros(len(mesh.dx))
+    z = mesh.centres("panel")
+    t[mesh.cells("panel")] = 20.0 + 3000.0 * z - 4e5 * z**2
+    assert mesh.slope("panel", height) @ t == pytest.approx(3000.0 - 8e5 * height, rel=1e-9)
