@@ -352,14 +352,8 @@ def _parquet_rows(path: Path, file: pq.ParquetFile, names: Sequence[str]) -> Row
     kinds = dict(zip(file.schema_arrow.names, file.schema_arrow.types, strict=True))
     columns = {name: np.empty(file.metadata.num_rows) for name in names if _is_number(kinds[name])}
     texts: dict[str, list[str]] = {name: [] for name in names if _is_text(kinds[name])}
-    known: dict[str, str] = {}
-    rows = 0
-    for piece in file.iter_batches(_ROWS_AT_ONCE, columns=[*columns, *texts]):
-        for name, column in columns.items():
-            column[rows : rows + len(piece)] = numbers_of(piece[name].cast(pa.float64(), safe=False))
-        rows += len(piece)
-        for name, kept in texts.items():
-            kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]
+    if columns or texts:
+        _fill(path, file, columns, texts)
     found = Rows(columns, {name: tuple(kept) for name, kept in texts.items()})
     if others := [name for name in names if name not in columns and name not in texts]:
         from daq.files.table_columns import rows_in  # pandas, which nothing else here needs
@@ -369,6 +363,23 @@ def _parquet_rows(path: Path, file: pq.ParquetFile, names: Sequence[str]) -> Row
     if odd := next((name for name in (TIME, CLOSED) if name in found.texts), None):
         raise InputError(at(path, say("run-column-type", type=str(kinds[odd])), column=odd))
     return found
+
+
+def _fill(path: Path, file: pq.ParquetFile, columns: dict[str, Array], texts: dict[str, list[str]]) -> None:
+    """Read into columns as long as the file says it is; one that holds more or fewer rows is damaged."""
+    known: dict[str, str] = {}
+    rows, stated = 0, file.metadata.num_rows
+    for piece in file.iter_batches(_ROWS_AT_ONCE, columns=[*columns, *texts]):
+        begin, rows = rows, rows + len(piece)
+        if rows > stated:
+            break
+        for name, column in columns.items():
+            column[begin:rows] = numbers_of(piece[name].cast(pa.float64(), safe=False))
+        for name, kept in texts.items():
+            kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]
+    if rows != stated:
+        reason = say("run-parquet-rows", rows=rows, stated=stated)
+        raise InputError(at(path, say("run-no-parquet", reason=reason)))
 
 
 def _damaged_column(path: Path) -> str | None:

@@ -381,6 +381,7 @@ run-no-temperature = { $value } ist keine Temperatur; sie muss zwischen { NUMBER
 run-no-time = Spalte time_s fehlt; vorhanden: { $found }
 run-not-utf8 = kein UTF-8-Text; die Datei als UTF-8 speichern
 run-number-as-text = { $cell } ist eine als Text abgelegte Zahl; die Spalte in Gleitkommazahlen wandeln
+run-parquet-rows = { $rows } Zeilen statt der angegebenen { $stated }
 run-quotation = { $reason }; Anführungszeichen und Zeilenenden prüfen
 run-table-empty = die Tabelle hat keine Reihen; eine Pressung braucht mindestens eine Messzeile
 run-time-falls = time_s = { $time } steigt nicht ({ $place }: { $before }); Reihen sortieren, doppelte entfernen

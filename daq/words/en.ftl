@@ -381,6 +381,7 @@ run-no-temperature = { $value } is no temperature; must lie between { NUMBER($co
 run-no-time = column time_s is missing; found { $found }
 run-not-utf8 = not UTF-8 text; save the file as UTF-8
 run-number-as-text = { $cell } is a number kept as text; convert the column to floats
+run-parquet-rows = { $rows } rows where { $stated } are stated
 run-quotation = { $reason }; check its quotation marks and line ends
 run-table-empty = the table has no rows; a run needs at least one scan
 run-time-falls = time_s = { $time } does not rise ({ $place }: { $before }); sort the rows, remove doubled ones

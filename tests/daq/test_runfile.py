@@ -310,6 +310,24 @@ def test_a_parquet_file_with_a_wrong_bit_in_a_name_is_refused(tmp_path, place):
         read_run(path)
 
 
+@pytest.mark.parametrize(
+    ("place", "stated"),
+    [("file", 1), ("file", 30), ("file", 41), ("file", 60), ("row group", 0), ("row group", 30)],
+)
+def test_a_parquet_file_that_states_another_number_of_rows_than_it_holds_is_refused(tmp_path, place, stated):
+    """What memory held before, as another run's columns, stood in the rows that were not there."""
+    path = tmp_path / "x.parquet"
+    pq.write_table(pa.table({"time_s": np.arange(40.0), "top_1": np.full(40, 20.0)}), path)
+    content = bytearray(path.read_bytes())
+    footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    rows = b"\x16\x50"  # 40, as a field in Thrift's compact protocol
+    at = content.index(rows, footer) if place == "file" else content.rindex(rows)
+    content[at + 1] = 2 * stated
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=f"40 rows where {stated} are stated" if place == "file" else "Parquet"):
+        read_run(path)
+
+
 def test_parquet_written_elsewhere_with_plain_text_metadata_integers_and_nulls_is_read(tmp_path):
     path = tmp_path / "x.parquet"
     table = pa.table({"time_s": [0, 1, 2], "top_1": [20.0, None, 22.0], "closed": [False, True, True]})
