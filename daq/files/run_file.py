@@ -53,8 +53,8 @@ _PANDAS_ATTRS = "PANDAS_ATTRS"
 """Where `DataFrame.to_parquet` puts a table's ``attrs``, which are the header: one JSON object."""
 
 
-_UNREADABLE = (pa.ArrowInvalid, OSError, UnicodeDecodeError)
-"""What a damaged Parquet file raises: the last where a wrong bit makes a name no text."""
+_UNREADABLE = (pa.ArrowException, OSError, ValueError, MemoryError)
+"""What a damaged Parquet file raises: the last two where a name is no text any more, or a count no count."""
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 # Numbers without another source were set by hand, 2026-11.
@@ -261,8 +261,12 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
                 raise InputError(at(path, say("run-table-empty")))
             rows = _parquet_rows(path, file, names)
             if time not in rows.columns:
-                times = _parquet_times(path, file.read(columns=[time])[time], header)
+                instants = file.read(columns=[time])[time]
+                _check_count(path, file, len(instants))
+                times = _parquet_times(path, instants, header)
                 rows = Rows({TIME: times, **rows.columns}, rows.texts)
+    except InputError:
+        raise
     except _UNREADABLE as error:
         problem = say("run-no-parquet", reason=reason_of(error))
         raise InputError(at(path, problem, column=_damaged_column(path))) from error
@@ -377,7 +381,11 @@ def _fill(path: Path, file: pq.ParquetFile, columns: dict[str, Array], texts: di
             column[begin:rows] = numbers_of(piece[name].cast(pa.float64(), safe=False))
         for name, kept in texts.items():
             kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]
-    if rows != stated:
+    _check_count(path, file, rows)
+
+
+def _check_count(path: Path, file: pq.ParquetFile, rows: int) -> None:
+    if rows != (stated := file.metadata.num_rows):
         reason = say("run-parquet-rows", rows=rows, stated=stated)
         raise InputError(at(path, say("run-no-parquet", reason=reason)))
 

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -312,7 +313,7 @@ def test_a_parquet_file_with_a_wrong_bit_in_a_name_is_refused(tmp_path, place):
 
 @pytest.mark.parametrize(
     ("place", "stated"),
-    [("file", 1), ("file", 30), ("file", 41), ("file", 60), ("row group", 0), ("row group", 30)],
+    [("file", -1), ("file", 1), ("file", 30), ("file", 41), ("file", 60), ("row group", 0), ("row group", 30)],
 )
 def test_a_parquet_file_that_states_another_number_of_rows_than_it_holds_is_refused(tmp_path, place, stated):
     """What memory held before, as another run's columns, stood in the rows that were not there."""
@@ -322,9 +323,30 @@ def test_a_parquet_file_that_states_another_number_of_rows_than_it_holds_is_refu
     footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
     rows = b"\x16\x50"  # 40, as a field in Thrift's compact protocol
     at = content.index(rows, footer) if place == "file" else content.rindex(rows)
-    content[at + 1] = 2 * stated
+    content[at + 1] = 2 * stated if stated >= 0 else 1  # zigzag
     path.write_bytes(content)
-    with pytest.raises(InputError, match=f"40 rows where {stated} are stated" if place == "file" else "Parquet"):
+    counted = place == "file" and stated > 0
+    with pytest.raises(InputError, match=f"40 rows where {stated} are stated" if counted else "not a readable"):
+        read_run(path)
+
+
+def test_a_parquet_file_of_pandas_with_a_wrong_bit_in_what_it_says_of_its_index_is_refused(tmp_path):
+    path = tmp_path / "x.parquet"
+    rows = pd.date_range("2026-03-04", periods=2, freq="s", tz="UTC", name="t")
+    pd.DataFrame({"top_1": [20.0, 21.0], "note": pd.Categorical(["a", "b"])}, rows).to_parquet(path)
+    path.write_bytes(path.read_bytes().replace(b'"column_indexes"', b'#column_indexes"'))
+    with pytest.raises(InputError, match="not a readable Parquet file"):
+        read_run(path)
+
+
+def test_a_parquet_file_of_pandas_that_states_another_number_of_rows_than_its_index_has_is_refused(tmp_path):
+    path = tmp_path / "x.parquet"
+    rows = pd.date_range("2026-03-04", periods=40, freq="s", tz="UTC", name="t")
+    pd.DataFrame({"note": pd.Categorical(["a", "b"] * 20)}, rows).to_parquet(path)
+    content = bytearray(path.read_bytes())
+    content[content.rindex(b"\x16\x50") + 1] = 0
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="0 rows where 40 are stated"):
         read_run(path)
 
 
