@@ -1,5 +1,5 @@
 // Small helpers to build the page: elements, numbers, times in the chosen language.
-import { inUnits, locale, text } from "./words.js";
+import { inUnits, inWords, locale, text } from "./words.js";
 
 export function el(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
@@ -115,3 +115,6 @@ function stack(holder) {
   classList.remove("stacked");
   classList.toggle("stacked", narrow.matches || holder.scrollWidth > holder.clientWidth);
 }
+
+// What is to be known of a fit or a diagnosis; null where there is nothing.
+export const warningsOf = (one) => (one.warnings?.length ? el("ul", { class: "small" }, one.warnings.map((warning, i) => el("li", {}, inWords(one.warnings_said?.[i], warning)))) : null);

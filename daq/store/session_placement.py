@@ -28,8 +28,7 @@ Notes = MutableMapping[int, dict[str, Any]]
 def session_key(notes: Notes, press: str, channels: Sequence[Channel], press_file: str) -> PressKey:
     """Return the key of a new session: scans from 0, their press to be found later."""
     session = min([-time.time_ns(), *(known - 1 for known in notes)])  # a clock stands, or is set back
-    layout = [[c.name, c.unit] for c in channels]
-    notes[session] = {"press": press, "channels": layout, "press_file": press_file}
+    notes[session] = _begun(press, channels, press_file)
     return PressKey(session, press, 0, tuple(channels), 0)
 
 
@@ -42,6 +41,11 @@ class SessionPlace:
     """What is added to the session's scan numbers."""
     interrupted: tuple[str, ...] = ()
     """Runs that a crash before this session left open."""
+
+
+def _begun(press: str, channels: Sequence[Channel], press_file: str) -> dict[str, Any]:
+    """Return what is noted of a session that is not placed yet."""
+    return {"press": press, "channels": [[c.name, c.unit] for c in channels], "press_file": press_file}
 
 
 class SessionPlacement:
@@ -89,9 +93,7 @@ class SessionPlacement:
 
     def _note(self, key: PressKey) -> dict[str, Any]:
         """Return what is known of a session; one whose note a damaged buffer lost begins anew."""
-        layout = [[c.name, c.unit] for c in key.channels]
-        unknown = {"press": key.name, "channels": layout, "press_file": ""}
-        return self._notes.get(key.press_id, unknown)
+        return self._notes.get(key.press_id, _begun(key.name, key.channels, ""))
 
     def moved(self, batch: WriteBatch) -> WriteBatch:
         """Return the batch as the store takes it."""

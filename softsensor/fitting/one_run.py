@@ -19,7 +19,7 @@ from itertools import product
 
 import numpy as np
 
-from daq.records import Array, InputError, Moments, Run
+from daq.records import Array, Moments, Run
 from daq.words import say
 from softsensor.fitting.constants import constant_unknowns, fit_doubts, with_constants
 from softsensor.fitting.experiment_advice import ALONE, Company
@@ -52,6 +52,7 @@ from softsensor.signals.instrument import (
 )
 from softsensor.signals.places import Noise, channel_noise, collect_signals, whiten
 from softsensor.signals.robust import Flags
+from softsensor.signals.screen import no_panel_channel
 from softsensor.signals.spikes import SPIKE_K, without_spikes
 
 FIRST_NOISE = Noise(slow_K=FACE_SLOW_K, slow_s=FACE_SLOW_S, fast_K=0.0, fast_s=CHANNEL_FAST_S, white_K=1.0)
@@ -139,9 +140,7 @@ def make_problem(
     case = model.prepare(run, moments)
     signals = collect_signals(case.press, run, moments)
     if not signals.places:
-        named = tuple(p for s in case.press.sensor if s.role == "fit" for p in s.columns)
-        source = run.source or run.name
-        raise InputError(say("run-no-panel-channel", run=source, named=named, count=len(named)))
+        raise no_panel_channel(case.press, run)
     values = replace(model, press=case.press).guesses
     values |= {n: v for n, v in (start or {}).items() if n in values or n in NUISANCES}
     known = known_before(case.press)

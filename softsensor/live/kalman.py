@@ -70,8 +70,8 @@ class KalmanFilter:
     """Cure of both faces, where a resin is given."""
     panel: int = 0
     """Number of the panel it takes to lie in the press (`live.panels`); 0: the header's."""
-    lean: tuple[Array, Array] = (np.zeros((0, 0)), np.zeros(0))
-    """How coefficients lean on causes in the prior, and where these are absent (`FilterPlan`) (P, P), (P)."""
+    prior: tuple[Array, Array] = (np.zeros(0), np.zeros((0, 0)))
+    """Mean, and how coefficients lean on causes in it (`FilterPlan.coupling`) (P), (P, P)."""
 
     @staticmethod
     def at_prior(
@@ -106,7 +106,7 @@ class KalmanFilter:
             estimate=StateEstimate(x, cov, error, made.at),
             reach=plan.reach,
             curing=_uncured(setup, made),
-            lean=(lean, plan.neutral),
+            prior=(x[:p].copy(), lean),
         )
 
     def take(self, blocks: Blocks) -> None:
@@ -169,9 +169,8 @@ class KalmanFilter:
         readings tell: a posterior's mean scatters by the prior's covariance without its own, to which what
         considered parameters E are off adds.
         """
-        lean, neutral = self.lean
-        free = np.array([not prior.considered for prior in self.linearised.priors])
-        away = self.estimate.mean[: len(free)] + lean @ neutral
+        (mean, lean), free = self.prior, self.linearised.free
+        away = self.estimate.mean[: len(free)] - mean
         away = (away - lean @ away)[free]
         if away @ away <= len(away):
             return 0.0

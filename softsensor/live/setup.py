@@ -110,6 +110,11 @@ class Linearised:
         """Share of each considered parameter's variance whose size is known only within a range (C)."""
         return np.array([prior.loose for prior in self.priors if prior.considered])
 
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Which parameters are estimated, not only considered (P)."""
+        return np.array([not prior.considered for prior in self.priors])
+
     @property
     def timing_units(self) -> tuple[float, ...]:
         """Seconds for one unit of each of `TIMING`."""

@@ -228,8 +228,7 @@ def heat_taken(task: Task, programme: Programme, press_time_s: float) -> float:
     taken = _taken(constant_doubts(run.header, task.press, task.model.learned))
     model = task.model.model(task.press)
     case = model.prepare(replace(run, header={**taken, **run.header}), moments, max_step_s=STEP_S)
-    values = {name: task.press.coefficient(name).guess for name in task.press.coefficient_names}
-    values |= task.model.values
+    values = _central(task.press, task.model)
     released = model.build(case, values).stack.heat
     if not len(released):
         return 0.0
@@ -313,10 +312,10 @@ def _values(press: Press, model: ModelFile, draws: Draws) -> list[dict[str, floa
     sd, vectors = np.linalg.eigh(model.covariance) if len(model.names) else (np.zeros(0), np.zeros((0, 0)))
     root = (vectors * np.sqrt(np.maximum(sd, 0.0))) @ vectors.T
     moved = unit @ root
-    guesses = {name: press.coefficient(name).guess for name in press.coefficient_names}
+    central = _central(press, model)
     found = []
     for row, platens in zip(moved, draws.of(PLATENS), strict=True):
-        values = {**guesses, **model.values}
+        values = dict(central)
         for name, change in zip(model.names, row, strict=True):
             if name in press.coefficient_names:
                 values[name] *= float(np.exp(change))
@@ -325,6 +324,11 @@ def _values(press: Press, model: ModelFile, draws: Draws) -> list[dict[str, floa
         values["boundary_bottom_K"], values["boundary_top_K"] = (PLATEN_TOTAL_K * platens).tolist()
         found.append(values)
     return found
+
+
+def _central(press: Press, model: ModelFile) -> dict[str, float]:
+    """Return the model file's parameters, and the press file's guesses of coefficients that it does not have."""
+    return {name: press.coefficient(name).guess for name in press.coefficient_names} | model.values
 
 
 def _within(name: str, value: float) -> float:

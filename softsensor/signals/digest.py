@@ -23,8 +23,7 @@ from scipy.linalg import solve_triangular
 
 from daq.press.press_file import Press
 from daq.printed import on_screen
-from daq.records import Array, InputError, Moments, Run
-from daq.words import say
+from daq.records import Array, Moments, Run
 from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel
@@ -39,7 +38,7 @@ from softsensor.signals.instrument import (
 )
 from softsensor.signals.moments import Switch, moments_seen, switch_of
 from softsensor.signals.places import Place
-from softsensor.signals.screen import ChannelFault, faces_of, screened
+from softsensor.signals.screen import ChannelFault, faces_of, no_panel_channel, screened
 from softsensor.signals.spikes import Spikes, without_spikes
 
 # Numbers without another source were set by hand, 2026-11.
@@ -243,9 +242,7 @@ def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, 
         place: tuple(c for c in columns if c not in excluded) for place, columns in faces_of(press, run)[0].items()
     }
     if not any(usable.values()):
-        named = tuple(p for s in press.sensor if s.role == "fit" for p in s.columns)
-        source = run.source or run.name
-        raise InputError(say("run-no-panel-channel", run=source, named=named, count=len(named)))
+        raise no_panel_channel(press, run)
     return {place: columns for place, columns in usable.items() if columns}
 
 

@@ -163,9 +163,8 @@ def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
         return given
 
     thickness = _given(header, "panel.thickness_mm", 1.0, Source.DATA_SHEET)
-    if thickness is not None and thickness.source is not Source.STATED:
-        sd = next(sd for upper, sd in PANEL_THICKNESS_MM if thickness.value <= upper)
-        thickness = Doubt(thickness.value, sd, Source.DATA_SHEET)
+    if thickness is not None:
+        thickness = Doubt(thickness.value, thickness_sd(thickness.value), Source.DATA_SHEET)
     rows = {
         "panel.thickness_mm": thickness,
         "panel.density_kg_m3": doubt("panel.density_kg_m3", PANEL_DENSITY, "density"),
@@ -212,10 +211,10 @@ def _boundary(header: Mapping[str, Any], end: str, boundary: Boundary) -> Iterat
 
 
 def _of_press(header: Mapping[str, Any], key: str, value: float, own: Mapping[str, float], sd: float) -> Doubt:
-    """Return a constant of the press file, which the header may override and both may state the deviation of."""
+    """Return a constant of the press file, which may state its deviation and which the header may override."""
     if (given := _given(header, key, sd, Source.DATA_SHEET)) is not None:
         return given
-    stated = header.get(f"{key}{SD}", own.get(key.rpartition(".")[2]))
+    stated = own.get(key.rpartition(".")[2])
     return Doubt(value, sd, Source.DATA_SHEET) if stated is None else Doubt(value, float(stated), Source.STATED)
 
 
@@ -226,9 +225,6 @@ def _given(
     value = _number(header.get(key))
     if value is None:
         return None
-    stated = header.get(f"{key}{SD}")
-    if stated is not None:
-        return Doubt(value, float(stated), Source.STATED)
     return Doubt(value, sd * abs(value) if relative else sd, source)
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.records import Array, Moments, Run
+from daq.records import Array, InputError, Moments, Run
 from daq.words import Message, say
 from softsensor.effects.vocabulary import place_words
 from softsensor.signals.instrument import BEFORE_SWITCH_S, CHANNEL_GAIN, LAG_GONE_S, LOGGER_STEP_K
@@ -76,6 +76,13 @@ class ChannelFault:
         return say(
             f"channel-{self.kind}", column=self.column, kelvin=self.departure_K, place=place_words(self.follows)
         )
+
+
+def no_panel_channel(press: Press, run: Run) -> InputError:
+    """Return the refusal of a run without a usable channel of the panel: which run, and which the press names."""
+    named = tuple(p for s in press.sensor if s.role == "fit" for p in s.columns)
+    source = run.source or run.name
+    return InputError(say("run-no-panel-channel", run=source, named=named, count=len(named)))
 
 
 def faces_of(press: Press, run: Run) -> tuple[dict[str, list[str]], tuple[ChannelFault, ...]]:

@@ -64,6 +64,16 @@ def started(store, folder, buffered=True):
     return outbox, notes
 
 
+def recorded(store, folder, scans):
+    """Have a recorder write so many scans of a press, and end; return the press's key."""
+    key = store.register_press("lab", CHANNELS)
+    outbox, _ = started(store, folder)
+    for n in range(scans):
+        outbox.put(batch(key, n))
+    outbox.close()
+    return key
+
+
 def pressing(key, first, last):
     """Return the batches of a run over scans."""
     made = [batch(key, n) for n in range(first, last + 1)]
@@ -312,11 +322,7 @@ def test_what_a_server_put_back_to_an_older_state_lacks_is_told_by_a_recorder_st
     postgresql_url, tmp_path, state
 ):
     with open_store(postgresql_url) as store:
-        key = store.register_press("lab", CHANNELS)
-        first, _ = started(store, tmp_path)
-        for n in range(20):
-            first.put(batch(key, n))
-        first.close()
+        recorded(store, tmp_path, 20)
         if state == "older":
             server(postgresql_url, "DELETE FROM scan WHERE number > 9")
         else:
@@ -362,11 +368,7 @@ def test_a_disk_that_hangs_under_what_is_kept_for_a_later_process_holds_up_no_he
 
 def test_of_another_store_or_by_a_damaged_file_nothing_is_said_to_have_gone_back(postgresql_url, tmp_path):
     with open_store(postgresql_url) as store:
-        key = store.register_press("lab", CHANNELS)
-        first, _ = started(store, tmp_path)
-        for n in range(20):
-            first.put(batch(key, n))
-        first.close()
+        key = recorded(store, tmp_path, 20)
         server(postgresql_url, "DELETE FROM scan WHERE number > 9")
         (kept,) = tmp_path.glob("*.written.json")
         known = kept.read_text()

@@ -8,7 +8,7 @@ from daq.press.press_file import parse_press
 from daq.records import Run
 from softsensor.live.march_steps import PressTiming, march_span
 from softsensor.live.priors import plans_for
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.replay import replay
 from softsensor.live.setup import linearise, set_up
 
 BETWEEN = """
@@ -107,10 +107,7 @@ def test_the_band_holds_the_core_where_a_thermocouple_lies_elsewhere_in_steep_he
     """1.5 standard deviations off, the core is missed by 7.9 K: the band was ±0.8 K."""
     time_s = np.arange(0.0, 300.0, 1.0)
     inside, core = heated(time_s, 0.004 + 0.001 * off_mm), heated(time_s, 0.006)
-    sensor = LiveSensor(parse_press(HEATED), {"ambient.temperature_C": 20.0})
-    estimates = [
-        sensor.update(t, {"hot": 300.0, "inside": v})
-        for t, v in zip(time_s.tolist(), inside.tolist(), strict=True)
-    ]
+    run = Run("heated", {"ambient.temperature_C": 20.0}, time_s, {"hot": np.full(300, 300.0), "inside": inside})
+    estimates = replay(parse_press(HEATED), run).estimates
     late = [(e, truth) for e, truth in zip(estimates, core.tolist(), strict=True) if e.time_s > 60.0]
     assert all(e.valid and e.core_low_C < truth < e.core_high_C for e, truth in late)

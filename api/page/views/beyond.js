@@ -15,8 +15,8 @@ export function drawLaw(card, law) {
   const [x, value, low, high] = [0, 1, 2, 3].map((i) => law.curve.map((row) => row[i]));
   const unit = law.unit === "-" ? "" : law.unit.replace("m3", "m³");
   const name = text(`law-kind-${law.kind}`);
-  card.append(key([{ name, colour: "--core" }, { name: text("page-band95"), class: "band" }]));
   const band = text("page-band95");
+  card.append(key([{ name, colour: "--core" }, { name: band, class: "band" }]));
   const chart = new TimeChart(card, { height: 260, label: name, yLabel: unit, xLabel: text(`law-variable-${law.variable}`), xRange: [x[0], x.at(-1)], bridge: Infinity,
     series: [{ name: band, kind: "band-low" }, { name: band, kind: "band-high" }, { name, colour: "--core", kind: "line", unit, digits: 2 }] });
   chart.tipHead = (at) => number(at, x.at(-1) - x[0] > 10 ? 0 : 2);

@@ -1,7 +1,7 @@
 // What the simulation gets wrong: the last diagnosis with cause, evidence and gain; model versions to promote or roll back.
 import { get, post } from "../api.js";
 import { TimeChart, calmRange, key } from "../charts.js";
-import { clock, el, number, plain, table } from "../dom.js";
+import { clock, el, number, plain, table, warningsOf } from "../dom.js";
 import { capital, effectCalled, effectName as name, has, inWords, placeName, text } from "../words.js";
 import { drawLaw, lawCard, planCard } from "./beyond.js";
 
@@ -39,7 +39,7 @@ function drawDiagnosis(holder, record) {
       gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text(predicted ? "page-gain-predicted" : "page-gain-left-out"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
     d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), inWords(d.next_measurement_said, d.next_measurement)) : null,
-    d.warnings?.length ? el("ul", { class: "small" }, d.warnings.map((warning, i) => el("li", {}, inWords(d.warnings_said?.[i], warning)))) : null)];
+    warningsOf(d))];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
   const curves = record.has_curves ? el("section", { class: "card", "data-testid": "curves" }) : null;
   const law = lawCard(d);

@@ -1,7 +1,7 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
 import { download, get, url } from "../api.js";
 import { TimeChart, calmRange, key } from "../charts.js";
-import { began, duration, el, number, table, when } from "../dom.js";
+import { began, duration, el, number, table, when, warningsOf } from "../dom.js";
 import { inWords, language, placeName, text } from "../words.js";
 import { COLOURS, groupName, roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
@@ -257,7 +257,7 @@ function fitCard(fit, { described }) {
     el("span", { class: `pill ${state[0]}` }, text(state[1]))),
   coefficientTable(coefficients),
   fitLeft("page-fit-left", whole), known ? fitLeft("page-fit-left-still", still) : null,
-  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, inWords(fit.warnings_said?.[i], warning)))) : null);
+  warningsOf(fit));
 }
 
 function fitLeft(code, [before, after]) {
