@@ -96,12 +96,15 @@ def warn(doubt: Message) -> None:
 
 
 def number_of(given: object) -> float:
-    """Return a number that was given; NaN, which lies within no limits, for anything else.
+    """Return a number that was given; NaN, which lies within no limits, for anything else and beyond all floats.
 
-    >>> number_of(5), number_of("5"), number_of(True)
-    (5.0, nan, nan)
+    >>> number_of(5), number_of("5"), number_of(True), number_of(10**400)
+    (5.0, nan, nan, nan)
     """
-    return float(given) if isinstance(given, Real) and not isinstance(given, bool) else math.nan
+    try:
+        return float(given) if isinstance(given, Real) and not isinstance(given, bool) else math.nan
+    except OverflowError:
+        return math.nan
 
 
 def reading_of(given: object) -> float | None:

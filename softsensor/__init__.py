@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from daq.press.press_file import Press as Press
     from daq.press.resin_file import Resin as Resin
     from softsensor.diagnosis.finding import Diagnosis as Diagnosis
+    from softsensor.diagnosis.rehearsal import Hidden as Hidden
+    from softsensor.diagnosis.rehearsal import Rate as Rate
+    from softsensor.diagnosis.rehearsal import Rehearsal as Rehearsal
+    from softsensor.diagnosis.rehearsal import RehearsedCause as RehearsedCause
     from softsensor.effects import Conversion as Conversion
     from softsensor.effects import Effect as Effect
     from softsensor.effects import Live as Live
@@ -47,6 +51,8 @@ if TYPE_CHECKING:
     from softsensor.face.planning import plan as plan
     from softsensor.face.predicting import Prediction as Prediction
     from softsensor.face.predicting import predict as predict
+    from softsensor.face.rehearsing import RehearsalResult as RehearsalResult
+    from softsensor.face.rehearsing import rehearse as rehearse
     from softsensor.face.reproducing import Reproduction as Reproduction
     from softsensor.face.reproducing import reproduce as reproduce
     from softsensor.face.simulating import Simulation as Simulation
@@ -90,6 +96,7 @@ __all__ = [
     "FitResult",
     "FittedValue",
     "Forecast",
+    "Hidden",
     "Inside",
     "Invalid",
     "InvalidReason",
@@ -109,6 +116,10 @@ __all__ = [
     "Programme",
     "ProgrammeAdvice",
     "Prospect",
+    "Rate",
+    "Rehearsal",
+    "RehearsalResult",
+    "RehearsedCause",
     "Replay",
     "Reproduction",
     "Resin",
@@ -135,6 +146,7 @@ __all__ = [
     "read_model",
     "read_press",
     "read_run",
+    "rehearse",
     "reproduce",
     "simulate",
 ]
@@ -150,6 +162,7 @@ _HOMES = {
     "FitResult": "softsensor.face.fitting",
     "FittedValue": "softsensor.heat.model_file",
     "Forecast": "softsensor.live.forecast",
+    "Hidden": "softsensor.diagnosis.rehearsal",
     "Inside": "softsensor.live.inside",
     "Invalid": "softsensor.live.validity",
     "InvalidReason": "softsensor.live.validity",
@@ -169,6 +182,10 @@ _HOMES = {
     "Programme": "softsensor.planning.made_up",
     "ProgrammeAdvice": "softsensor.planning.advise",
     "Prospect": "softsensor.planning.open_points",
+    "Rate": "softsensor.diagnosis.rehearsal",
+    "Rehearsal": "softsensor.diagnosis.rehearsal",
+    "RehearsalResult": "softsensor.face.rehearsing",
+    "RehearsedCause": "softsensor.diagnosis.rehearsal",
     "Replay": "softsensor.live.replay",
     "Reproduction": "softsensor.face.reproducing",
     "Resin": "daq.press.resin_file",
@@ -195,6 +212,7 @@ _HOMES = {
     "read_model": "softsensor.face.models",
     "read_press": "softsensor.face.inputs",
     "read_run": "softsensor.face.inputs",
+    "rehearse": "softsensor.face.rehearsing",
     "reproduce": "softsensor.face.reproducing",
     "simulate": "softsensor.face.simulating",
 }

@@ -267,7 +267,9 @@ frame-without-start = Im Kopf fehlt, wann die Pressung begann; { $key } als Zeit
 frame-without-times = { $run }: die Tabelle hat keine Zeiten; { $remedy } (Spalten sind { $columns })
 given-key-no-text = Schlüssel { $key } ist kein Text; Namen als Texte angeben
 given-mapping-without-file = { $found }: eine Zuordnungsdatei erklärt die Datei eines fremden Loggers; gib den Pfad dieser Datei an, oder benenne die Spalten der Tabelle um und lass die Zuordnung weg
+given-no-diagnosis = { $found }: eine Diagnose wird als das angegeben, was diagnose gab
 given-no-effect = { $found }: ein Effekt wird als Effect angegeben
+given-no-file = { $found }: eine Datei wird mit ihrem Pfad angegeben
 given-no-header = { $found }: ein Kopf wird als Zuordnung von Schlüsseln mit Punkten angegeben, etwa {"{"}"panel.thickness_mm": 16.0{"}"}
 given-no-language = Sprache { $language } ist nicht vorhanden; es gibt { $languages }
 given-no-limits = { $found }: Grenzen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"core_least_C": 110.0{"}"}
@@ -1189,6 +1191,7 @@ law-variable-time_since_closing_s = Zeit seit dem Schließen in s
 
 rehearsal-alone = allein genannt
 rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Versuchsreihen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
+rehearsal-count = { $name } = { $value }: eine ganze Zahl ab 1 angeben
 rehearsal-file-other = { $path }: enthält anderes als fertige Versuchsreihen einer Probe; eine neue Datei angeben oder die einer früheren Probe
 rehearsal-found = gefunden
 rehearsal-heading = Wie oft eine solche Diagnose richtig ist
@@ -1197,14 +1200,14 @@ rehearsal-lost = { $count ->
    *[other] { $count } der Versuchsreihen fehlen und zählen
 } nirgends mit: Die Prozesse, die sie simulierten, wurden abgebrochen.
 rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Versuchsreihen eine genannt.
-rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können sie nicht zeigen; wählbar sind { $known }
+rehearsal-not-testable = { $name }: diese Pressungen können sie nicht zeigen; wählbar sind { $known }
 rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file und --dask gehören zu --rehearse; es mit angeben
 rehearsal-own-model = Die Versuchsreihen sind mit dem eigenen Modell des Softsensors simuliert: Die Anteile gelten für eine Presse, die es bis auf die eine Ursache beschreibt. Was eine wirkliche Presse sonst noch tut, verschlechtert sie.
 rehearsal-rate = { $count } von { $of } ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) } %)
-rehearsal-size = --rehearse-effect { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
+rehearsal-size = { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
 rehearsal-size-cell = { $value } { $unit }
 rehearsal-size-head = Größe
-rehearsal-size-none = --rehearse-effect { $name }={ $size }: in dieser Größe ist die Ursache nicht vorhanden; Versuchsreihen ohne verborgene Ursache werden ohnehin geprobt
+rehearsal-size-none = { $name }={ $size }: in dieser Größe ist die Ursache nicht vorhanden; Versuchsreihen ohne verborgene Ursache werden ohnehin geprobt
 rehearsal-takes = Das dauert etwa { NUMBER($minutes, maximumFractionDigits: 0) } min mit { $workers } { $workers ->
     [one] Prozess
    *[other] Prozessen
@@ -1273,6 +1276,7 @@ plan-setting-unknown = { $name }: diese Einstellung hat die Pressung nicht; sie 
 plan-setting-wrong = { $name } = { $value } muss zwischen { $lower } und { $upper } liegen
 plan-settles = Eine Pressung klärt es mit { NUMBER($percent, maximumFractionDigits: 0) } % Wahrscheinlichkeit; { $runs }.
 plan-settles-surely = Eine Pressung klärt es so gut wie sicher: mit über 99 % Wahrscheinlichkeit.
+plan-until-of-diagnosis = until: eine Diagnose hat ihre Pressungen schon; until bei diagnose angeben oder plan die Pressungen selbst geben
 plan-with-core = Mit einem Fühler im Kern: { $settings }. { $prospect }
 what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDigits: 0) } s wird nicht simuliert; eine kürzere Presszeit wählen
 
@@ -1462,6 +1466,8 @@ figure-plain = einfach
 figure-plan-best = beste Einstellungen
 figure-plan-repeated = übliche Einstellungen
 figure-plan-with-core = ebenso mit Fühler im Kern
+figure-rehearsal-nothing = nichts verborgen
+figure-rehearsal-share = Anteil der Versuchsreihen [%]
 figure-residuals = Was alle Pressungen gemeinsam haben, fehlt dem Modell
 figure-roughness = Angepasste Schritte machen die Kosten rau: Differenzen messen die Schritte, nicht die Steigung
 figure-run = Pressung
@@ -1967,11 +1973,11 @@ terminal-stations-no-numbers = --stations '{ $text }': Zahlen und Bereiche angeb
 terminal-stations-out-of-range = --stations '{ $text }': Adressen liegen zwischen 0 und 255
 terminal-token-needs-name = kerntemp token { $action }: braucht einen Namen
 terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 zeigt, wo)
-terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: einen späteren Zeitpunkt angeben
-terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; die Pressung hat { $known }
-terminal-until-no-run = --until { $until }: keine Pressung '{ $run }' ist angegeben; Pressungen sind { $known }
-terminal-until-not-reached = --until { $until } kommt in { $runs } nicht vor: dort wird nichts weggelassen; Sekunden angeben oder eine Temperatur, die erreicht wird
-terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit PRESSUNG: davor für eine Pressung allein
+terminal-until-leaves-too-little = { $run }: { $option } { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: einen späteren Zeitpunkt angeben
+terminal-until-no-column = { $run }: { $option } nennt Spalte '{ $column }'; die Pressung hat { $known }
+terminal-until-no-run = { $option } { $until }: keine Pressung '{ $run }' ist angegeben; Pressungen sind { $known }
+terminal-until-not-reached = { $option } { $until } kommt in { $runs } nicht vor: dort wird nichts weggelassen; Sekunden angeben oder eine Temperatur, die erreicht wird
+terminal-until-not-read = { $option } { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit PRESSUNG: davor für eine Pressung allein
 terminal-written = geschrieben: { $path }
 terminal-written-several = geschrieben: { $files } Dateien in { $folder }
 token-created = Zugangstoken { $name } angelegt, { $scope ->

@@ -267,7 +267,9 @@ frame-without-start = the header lacks the time at which the run began; give { $
 frame-without-times = { $run }: the table has no times; { $remedy } (columns are { $columns })
 given-key-no-text = key { $key } is not a text; give names as texts
 given-mapping-without-file = { $found }: a mapping explains the file of another logger; give that file's path, or rename the columns of the table and leave the mapping out
+given-no-diagnosis = { $found }: a diagnosis is given as what diagnose returned
 given-no-effect = { $found }: an effect is given as an Effect
+given-no-file = { $found }: a file is given by its path
 given-no-header = { $found }: a header is given as a mapping of dotted keys, such as {"{"}"panel.thickness_mm": 16.0{"}"}
 given-no-language = language { $language } is not available; choose one of { $languages }
 given-no-limits = { $found }: limits are given as a mapping of numbers by name, such as {"{"}"core_least_C": 110.0{"}"}
@@ -1171,6 +1173,7 @@ law-variable-time_since_closing_s = time since closing in s
 
 rehearsal-alone = named alone
 rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaigns to diagnose, { $done } done before. They come from the sensor's own model with these runs' programs, noise and scatter.
+rehearsal-count = { $name } = { $value }: give a whole number of at least 1
 rehearsal-file-other = { $path }: holds something else than finished campaigns of a rehearsal; give a new file, or the one of an earlier rehearsal
 rehearsal-found = found
 rehearsal-heading = How often such a diagnosis is right
@@ -1179,14 +1182,14 @@ rehearsal-lost = { $count ->
    *[other] { $count } of the campaigns are missing and count
 } nowhere: the processes that simulated them were killed.
 rehearsal-none = With nothing hidden, a cause is named in { $rate } of the campaigns.
-rehearsal-not-testable = --rehearse-effect { $name }: these runs cannot show it; choose from { $known }
+rehearsal-not-testable = { $name }: these runs cannot show it; choose from { $known }
 rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file and --dask go with --rehearse; give it too
 rehearsal-own-model = The campaigns are simulated by the sensor's own model: rates are those of a press that it describes but for the one cause. What a real press does besides makes them worse.
 rehearsal-rate = { $count } of { $of } ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) } %)
-rehearsal-size = --rehearse-effect { $name }={ $size }: the size must be a number from { $low } to { $high }
+rehearsal-size = { $name }={ $size }: the size must be a number from { $low } to { $high }
 rehearsal-size-cell = { $value } { $unit }
 rehearsal-size-head = size
-rehearsal-size-none = --rehearse-effect { $name }={ $size }: of this size it is absent; campaigns with nothing hidden are rehearsed anyway
+rehearsal-size-none = { $name }={ $size }: of this size it is absent; campaigns with nothing hidden are rehearsed anyway
 rehearsal-takes = This takes about { NUMBER($minutes, maximumFractionDigits: 0) } min on { $workers } { $workers ->
     [one] process
    *[other] processes
@@ -1255,6 +1258,7 @@ plan-setting-unknown = { $name }: this run has no such setting; it has { $known 
 plan-setting-wrong = { $name } = { $value } must lie between { $lower } and { $upper }
 plan-settles = One settles it with a chance of { NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-settles-surely = One settles it almost certainly: the chance is above 99 %.
+plan-until-of-diagnosis = until: a diagnosis has its runs already; give until to diagnose, or the runs themselves to plan
 plan-with-core = With a thermocouple in the core: { $settings }. { $prospect }
 what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) } s is not simulated; give a shorter press time
 
@@ -1445,6 +1449,8 @@ figure-plain = plain
 figure-plan-best = best settings
 figure-plan-repeated = usual settings
 figure-plan-with-core = the same with a core thermocouple
+figure-rehearsal-nothing = nothing hidden
+figure-rehearsal-share = share of the campaigns [%]
 figure-residuals = What all runs have in common is what the model lacks
 figure-roughness = Adaptive steps make the cost rough: differences measure the steps, not the slope
 figure-run = run
@@ -1956,11 +1962,11 @@ terminal-stations-no-numbers = --stations '{ $text }': give numbers and ranges, 
 terminal-stations-out-of-range = --stations '{ $text }': addresses lie between 0 and 255
 terminal-token-needs-name = kerntemp token { $action }: needs a name
 terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 shows where)
-terminal-until-leaves-too-little = { $run }: --until { $until } leaves { $rows } of { $all } rows; the first is at time_s = { $first }: give a later moment
-terminal-until-no-column = { $run }: --until names column '{ $column }'; the run has { $known }
-terminal-until-no-run = --until { $until }: no run '{ $run }' is given; runs are { $known }
-terminal-until-not-reached = --until { $until } does not come in { $runs }: nothing is left out there; give seconds, or a temperature that is reached
-terminal-until-not-read = --until { $until }: give seconds (900), a temperature of a column (bottom_1=140) or one of { $events }, with RUN: before it for one run alone
+terminal-until-leaves-too-little = { $run }: { $option } { $until } leaves { $rows } of { $all } rows; the first is at time_s = { $first }: give a later moment
+terminal-until-no-column = { $run }: { $option } names column '{ $column }'; the run has { $known }
+terminal-until-no-run = { $option } { $until }: no run '{ $run }' is given; runs are { $known }
+terminal-until-not-reached = { $option } { $until } does not come in { $runs }: nothing is left out there; give seconds, or a temperature that is reached
+terminal-until-not-read = { $option } { $until }: give seconds (900), a temperature of a column (bottom_1=140) or one of { $events }, with RUN: before it for one run alone
 terminal-written = written: { $path }
 terminal-written-several = written: { $files } files in { $folder }
 token-created = token { $name } created, scope { $scope }

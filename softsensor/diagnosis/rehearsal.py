@@ -69,6 +69,7 @@ class Hidden:
     name: str
     """Of an effect; empty for none."""
     parameters: tuple[tuple[str, float], ...] = ()
+    """How large it is: each parameter's name and value, in its unit."""
 
     @property
     def key(self) -> str:
@@ -127,7 +128,9 @@ class Rate:
     """How often something happened, and the binomial interval of its chance."""
 
     count: int
+    """How often."""
     of: int
+    """How many there were."""
 
     @property
     def share(self) -> float:
@@ -158,10 +161,11 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Row:
+class RehearsedCause:
     """What became of the campaigns that hide one cause."""
 
     hidden: Hidden
+    """The cause, and how large it was."""
     found: Rate
     """The cause is named, alone or in a set."""
     alone: Rate
@@ -186,7 +190,9 @@ class Rehearsal:
     """Power and false names of a campaign."""
 
     runs: int
-    rows: tuple[Row, ...]
+    """Of each campaign."""
+    rows: tuple[RehearsedCause, ...]
+    """One a hidden cause."""
     nothing: Rate
     """Of the campaigns that hide nothing, those in which a cause is named."""
     untestable: tuple[str, ...]
@@ -434,9 +440,9 @@ def rehearsal_of(campaign: Campaign, outcomes: Iterable[Outcome], lost: int = 0)
     return Rehearsal(len(campaign.runs), tuple(_row(h, by[h]) for h in known), _rate(nothing), unseen, lost)
 
 
-def _row(hidden: Hidden, outcomes: Sequence[Outcome]) -> Row:
+def _row(hidden: Hidden, outcomes: Sequence[Outcome]) -> RehearsedCause:
     name = hidden.name
-    return Row(
+    return RehearsedCause(
         hidden,
         found=_rate(any(name in s for s in o.sets) for o in outcomes),
         alone=_rate((name,) in o.sets for o in outcomes),

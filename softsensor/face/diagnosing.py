@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from softsensor.face.kinds import AnyPress, AnyRun
+    from softsensor.face.kinds import AnyPress, AnyRun, Until
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -103,6 +103,7 @@ def diagnose(
     runs: AnyRun | Sequence[AnyRun],
     press: AnyPress,
     *,
+    until: Until | None = None,
     effects: str | Sequence[str] | None = None,
     law: bool = False,
     progress: Callable[[str, float], None] | None = None,
@@ -125,6 +126,10 @@ def diagnose(
     ----------
     runs
         One run or several, as files, tables or `Run`. [°C, s]
+    until
+        Where each run ends, as ``--until`` takes it: a moment [s], ``bottom_1=140`` for the first row in which a
+        column reads as much, an event such as ``opened``, each with ``RUN:`` before it for one run alone; of
+        several the earliest counts.
     effects
         Cause or causes to look for, by name; the whole catalogue without.
     law
@@ -155,5 +160,5 @@ def diagnose(
     """
     described = read_press(press)
     wanted = None if effects is None else names_of(effects)
-    found = diagnose_runs(described, runs_of(runs, described), progress, wanted, law=True if law else None)
+    found = diagnose_runs(described, runs_of(runs, described, until), progress, wanted, law=True if law else None)
     return DiagnosisResult(found)

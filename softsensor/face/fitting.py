@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from softsensor.face.kinds import AnyPress, AnyRun
+    from softsensor.face.kinds import AnyPress, AnyRun, Until
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -123,10 +123,11 @@ def _with_ends(value: float, ends: tuple[float, float]) -> str:
     return f"{_digits(value, ends)} ({low} … {high})"
 
 
-def fit(
+def fit(  # noqa: PLR0913 - one argument a wish
     runs: AnyRun | Sequence[AnyRun],
     press: AnyPress,
     *,
+    until: Until | None = None,
     shared: str | Sequence[str] = (),
     method: str = "default",
     averages: bool = False,
@@ -138,6 +139,10 @@ def fit(
     ----------
     runs
         One run or several, as files, tables or `Run`. [°C, s]
+    until
+        Where each run ends, as ``--until`` takes it: a moment [s], ``bottom_1=140`` for the first row in which a
+        column reads as much, an event such as ``opened``, each with ``RUN:`` before it for one run alone; of
+        several the earliest counts.
     shared
         Coefficient or coefficients with one value in all runs.
     method
@@ -167,6 +172,6 @@ def fit(
     described = read_press(press)
     together, full = names_of(shared), full_method(method, averages=averages)
     check_shared(described, together)
-    read = runs_of(runs, described)
+    read = runs_of(runs, described, until)
     found = with_frozen_fields(fit_campaign(described, read, shared=together, profiles=profiles, method=full))
     return FitResult(replace(found, runs=tuple(map(with_frozen_fields, found.runs))))

@@ -18,9 +18,10 @@ from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
 from daq.records import UNNAMED, FrozenDict, Run, with_frozen_fields
+from softsensor.face.ends import shortened
 
 if TYPE_CHECKING:
-    from softsensor.face.kinds import AnyPress, AnyRun
+    from softsensor.face.kinds import AnyPress, AnyRun, Until
 
 
 def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mapping[str, Any] | None = None) -> Run:
@@ -122,13 +123,14 @@ def run_for(run: AnyRun, press: Press) -> Run:
     return found
 
 
-def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
-    """Return one run or several as read; tables without a name are numbered.
+def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press, until: Until | None = None) -> list[Run]:
+    """Return one run or several as read, without the rows after their ends; tables without a name are numbered.
 
     Raises
     ------
     InputError
-        For what cannot be read, words in a column that the press takes numbers from, or a run given twice.
+        For what cannot be read, words in a column that the press takes numbers from, a run given twice, or an end
+        that cannot be.
     """
     one = isinstance(runs, Run | Path | str | Mapping) or _is_table(runs) or not isinstance(runs, Iterable)
     given: Any = [runs] if one else runs
@@ -137,4 +139,4 @@ def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
         number = itertools.count(1)
         read = [replace(r, name=f"{UNNAMED}-{next(number)}") if r.name == UNNAMED else r for r in read]
     check_each_once(read)
-    return read
+    return shortened(read, press, until)

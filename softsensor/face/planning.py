@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from daq.given import keys_of
+from daq.records import InputError
+from daq.words import say
 from daq.words.message import chosen
 from softsensor.face.diagnosing import DiagnosisResult, diagnose
 from softsensor.face.inputs import read_press
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from softsensor.face.kinds import AnyPress, AnyRun
+    from softsensor.face.kinds import AnyPress, AnyRun, Until
 
 
 HALF = ((PointKind.COEFFICIENT, "half_share"), (PointKind.CORE_BAND, "half_K"))
@@ -87,6 +89,7 @@ def plan(
     runs: AnyRun | Sequence[AnyRun] | DiagnosisResult,
     press: AnyPress,
     *,
+    until: Until | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> PlanResult:
@@ -96,6 +99,10 @@ def plan(
     ----------
     runs
         Measured runs, or their diagnosis, which saves making it again.
+    until
+        Where each run ends, as ``--until`` takes it: a moment [s], ``bottom_1=140`` for the first row in which a
+        column reads as much, an event such as ``opened``, each with ``RUN:`` before it for one run alone; of
+        several the earliest counts.
     ranges
         What can be set and how far, by name (``thickness_mm``, ``platen_temperature_C``, ``press_time_s``,
         ``start_temperature_C``, ``waiting_s``, ``pressure_N_cm2``); the runs' own, modestly widened, without.
@@ -105,7 +112,7 @@ def plan(
     Raises
     ------
     InputError
-        As `diagnose`, and for a range that cannot be.
+        As `diagnose`, for a range that cannot be, and for an end of runs beside their diagnosis.
 
     Examples
     --------
@@ -126,5 +133,7 @@ def plan(
     >>> bool((table.xs("best", level="pressing")["worth_nats"] > 0.0).all())
     True
     """
-    found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press, progress=progress)
+    if isinstance(runs, DiagnosisResult) and until is not None:
+        raise InputError(say("plan-until-of-diagnosis"))
+    found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press, until=until, progress=progress)
     return PlanResult(plan_after(read_press(press), found.diagnosis, keys_of(ranges, "given-no-ranges"), progress))

@@ -72,7 +72,12 @@ def local_workers(plan: RehearsalPlan) -> int:
     return max(1, min(os.cpu_count() or 1, len(plan.tasks)))
 
 
-def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None, dask: str = "") -> Rehearsal:
+def rehearse(
+    plan: RehearsalPlan,
+    progress: Callable[[int], None] | None = None,
+    dask: str = "",
+    workers: int | None = None,
+) -> Rehearsal:
     """Rehearse what a plan holds on local processes, or on Dask; each finished campaign is kept at once.
 
     One over which workers were killed is left out, and the answer says how many were.
@@ -83,6 +88,8 @@ def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None,
         Called with the number of campaigns done.
     dask
         Address of a scheduler.
+    workers
+        Local processes; as many as the machine has cores without.
 
     Raises
     ------
@@ -92,7 +99,7 @@ def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None,
         For a file that cannot be written.
     """
     done, mark = list(plan.done), _mark(plan.campaign)
-    for number, outcome in enumerate(_outcomes(plan, dask), start=len(plan.done) + 1):
+    for number, outcome in enumerate(_outcomes(plan, dask, workers), start=len(plan.done) + 1):
         if outcome is not None:
             done.append(outcome)
             if plan.file is not None:
@@ -103,9 +110,9 @@ def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None,
     return rehearsal_of(plan.campaign, done, lost)
 
 
-def _outcomes(plan: RehearsalPlan, dask: str) -> Iterator[Outcome | None]:
-    work = partial(_rehearse, plan.campaign)
-    return (outcome for _, outcome in handed_out(work, plan.tasks, local_workers(plan), dask))
+def _outcomes(plan: RehearsalPlan, dask: str, workers: int | None) -> Iterator[Outcome | None]:
+    work, local = partial(_rehearse, plan.campaign), local_workers(plan) if workers is None else workers
+    return (outcome for _, outcome in handed_out(work, plan.tasks, local, dask))
 
 
 def _rehearse(campaign: Campaign, task: RehearsalTask) -> Outcome:

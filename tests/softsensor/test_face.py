@@ -354,6 +354,11 @@ def test_a_live_sensor_fed_by_hand_refuses_what_no_run_file_holds(column, value,
         live.update(0.0, {**daq.frame_of(run).iloc[0].to_dict(), column: value})
 
 
+def test_a_whole_number_beyond_all_floats_is_refused_in_words():
+    with pytest.raises(daq.InputError, match=r"panel\.thickness_mm = 1000"):
+        softsensor.read_run(SHORT, header={"panel.thickness_mm": 10**400})
+
+
 def test_a_live_sensor_refuses_a_mistyped_header_at_once():
     with pytest.raises(daq.InputError, match=r"did you mean panel\.thickness_mm"):
         softsensor.LiveSensor(LAB, {"panel.thicknes_mm": 16.0})
@@ -616,6 +621,82 @@ def test_a_fit_of_one_run_tells_one_number_a_coefficient_and_no_scatter():
         assert abs(float(cells[name]) - found.value) <= 0.05 * half
 
 
+ENDS = [
+    ("opened", ["--until", "opened"]),
+    ([45, "2026-03-04-07:bottom_1=60"], ["--until", "45", "--until", "2026-03-04-07:bottom_1=60"]),
+]
+
+
+@pytest.mark.parametrize(("until", "options"), ENDS)
+def test_runs_end_from_python_where_the_command_lets_them_end(until, options, tmp_path):
+    command = ["fit", *map(str, SAMPLES[5:8]), "--press", str(LAB), "--json", str(tmp_path / "fit.json"), *options]
+    assert main(command) == 0
+    found = softsensor.fit(SAMPLES[5:8], LAB, until=until)
+    of_command = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert json.loads(found.to_json())["campaign"] == of_command["campaign"]
+    assert len(found.campaign.runs[1].problem.case.run.time_s) < len(read_run(SHORT).time_s)
+
+
+@pytest.mark.parametrize(
+    ("until", "expected"),
+    [
+        ("lunch", "^until lunch: give seconds"),
+        (None, None),
+        (float("nan"), "^until nan: give seconds"),
+        ("other:45", "^until other:45: no run 'other' is given"),
+        (-1, r"until -1\.0 leaves 0 of"),
+        ([[3]], "list: names are given"),
+    ],
+)
+def test_an_end_of_runs_that_cannot_be_is_refused_from_python(until, expected):
+    if expected is None:
+        assert len(runs_of(SHORT, softsensor.read_press(LAB), until)[0].time_s) == len(read_run(SHORT).time_s)
+        return
+    with pytest.raises(daq.InputError, match=expected):
+        softsensor.diagnose(SHORT, LAB, until=until)
+
+
+def test_a_diagnosis_has_its_runs_already(results):
+    with pytest.raises(daq.InputError, match=r"^until: a diagnosis has its runs already"):
+        softsensor.plan(results["diagnose"], LAB, until="opened")
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ({"effects": "edge_loss=much"}, "^edge_loss=much: the size must be a number"),
+        ({"effects": "no_such"}, "no_such"),
+        ({"campaigns": 0}, "^campaigns = 0: give a whole number of at least 1"),
+        ({"workers": True}, "^workers = True: give"),
+        ({"file": SHORT}, "holds something else than finished campaigns"),
+        ({"file": ROOT}, "cannot write"),
+        ({"file": 5}, "^int: a file is given by its path"),
+    ],
+)
+def test_a_rehearsal_that_cannot_be_is_refused_in_words(results, asked, expected):
+    with pytest.raises(daq.InputError, match=expected):
+        softsensor.rehearse(results["diagnose"], **asked)
+    with pytest.raises(daq.InputError, match=r"^str: a diagnosis is given as what diagnose returned"):
+        softsensor.rehearse("diagnosis", **asked)
+
+
+def test_a_rehearsal_tells_shares_with_their_intervals_and_keeps_what_is_finished(results, tmp_path):
+    found, kept = results["rehearse"], tmp_path / "finished.jsonl"
+    table = found.frame()
+    assert list(table.index) == ["moisture_evaporation", "nothing"]
+    assert (table["campaigns"] == 1).all()
+    assert table.loc["nothing", ["wrong", "wrong_low"]].tolist() == [0.0, 0.0]
+    assert table.loc["nothing", "wrong_high"] == pytest.approx(0.975)  # of one, none: 1 - 0.025
+    assert table.loc["nothing", ["found", "alone"]].isna().all()
+    asked = {"effects": "moisture_evaporation", "campaigns": 1, "file": kept}
+    first = softsensor.rehearse(results["diagnose"], **asked)
+    assert first.to_json() == found.to_json()
+    assert len(kept.read_text(encoding="utf-8").splitlines()) == 2
+    done = []
+    again = softsensor.rehearse(results["diagnose"], **asked, progress=lambda what, share: done.append(share))
+    assert (again.to_json(), done) == (found.to_json(), [])
+
+
 def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
     model = written / "model.json"
     out = tmp_path / "core.csv"
@@ -823,7 +904,7 @@ def no_number(text):
 @pytest.fixture(scope="module")
 def said():
     """What was said meanwhile of how far a diagnosis and a plan are, by the function."""
-    return {"diagnose": [], "plan": []}
+    return {"diagnose": [], "plan": [], "rehearse": []}
 
 
 @pytest.fixture(scope="module")
@@ -848,6 +929,7 @@ def results(fitted, said):
         ),
         "plan": softsensor.plan(found, LAB, ranges=PRESS_TIME, **saying("plan")),
         "predict": softsensor.predict(SHORT, LAB, fitted),
+        "rehearse": softsensor.rehearse(found, effects="moisture_evaporation", campaigns=1, **saying("rehearse")),
         "reproduce": softsensor.reproduce([(run, truth.moments, truth.coefficients)], model),
         "simulate": softsensor.simulate(SHORT, LAB, fitted),
     }
@@ -1086,6 +1168,7 @@ def test_diagnosis_and_plan_report_how_far_they_are(results, said):
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] <= shares[-1] <= 1.0
     assert said["plan"]
+    assert [share for _, share in said["rehearse"]] == [0.5, 1.0]
 
 
 def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):

@@ -291,7 +291,7 @@ def test_what_a_rehearsal_takes_is_reckoned_without_the_search_for_a_law(monkeyp
 def test_the_command_tells_how_long_it_takes_and_where_the_campaigns_come_from(tmp_path, capsys, monkeypatch):
     """The real command; its two campaigns are rehearsed by a stand-in that names what is hidden."""
 
-    def instantly(plan, _dask):
+    def instantly(plan, _dask, _workers):
         yield from (
             Outcome(t.hidden, t.number, "named", ((t.hidden.name,),) if t.hidden.name else ()) for t in plan.tasks
         )
