@@ -36,6 +36,10 @@ from daq.store.store import Store
 from daq.store.store import open_store as open_database
 from daq.words import say
 
+LONG_ROWS = 20_000
+"""From so many rows on press events are looked for in the table as a whole: scan by scan a row takes 25 us, while
+loading what is compiled for it takes 0.5 s (2026-11-30; ``tests/benchmarks/test_find_events.py``)."""
+
 # Numbers without another source were set by hand, 2026-11.
 
 AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
@@ -267,11 +271,19 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     >>> find_events(run, press)["event"].tolist()
     ['inserted', 'closed', 'opened']
     """
-    run, _, detector = _showing(_run(table), _press(press))
-    columns = {name: run.columns[name].tolist() for name in detector.looks_at(tuple(run.columns))}
+    run, own, detector = _showing(_run(table), _press(press))
+    names = detector.looks_at(tuple(run.columns))
     found = []
-    for i, time_s in enumerate(run.time_s.tolist()):
-        found += detector.update(time_s, {name: values[i] for name, values in columns.items()})
+    if len(run.time_s) >= LONG_ROWS and set(detector.wires.columns).isdisjoint(names):
+        from daq.press.table_events import table_events  # loads slowly, and is worth it for a long table alone
+
+        found = table_events(run.time_s, {name: run.columns[name] for name in names}, own)
+    else:
+        readings = (
+            zip(*(run.columns[name].tolist() for name in names), strict=True) if names else itertools.repeat(())
+        )
+        for time_s, row in zip(run.time_s.tolist(), readings, strict=False):
+            found += detector.update(time_s, dict(zip(names, row, strict=True)))
     rows = [
         {"time_s": e.monotonic_s, "event": str(e.kind), "noticed_s": e.noticed_s, "source": str(e.source)}
         for e in found

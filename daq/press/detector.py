@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.press.faces import HIGH_C, LOW_C, Face, columns_of, middle
 from daq.press.moments import BREAK_K, INSERTION_S, REACH_S, FaceHistory, place_moment, usual_lag
@@ -64,7 +65,7 @@ _ONE_FACE_TOP_K, _ONE_FACE_BOTTOM_K = 3.0, 2.0
 _TOP_COLD_SHARE, _TOP_HOT_SHARE = 0.2, 0.6
 """Of the way from room to plate: an upper face below the first contradicts a wire that says closed, above the
 second one that says open."""
-_HOLD_S, _HOLD_SCANS = 1.5, 1.5
+HOLD_S, HOLD_SCANS = 1.5, 1.5
 """A channel's last value stands for this long, at least for so many scans: some loggers are slower than the scans
 they answer to, and a faulty answer is no change of the press. [s, scans]"""
 BLIND_S = 3.0
@@ -97,7 +98,7 @@ _SLOPE_OVER_S = 2.0
 """The lower face's slope before a closing is taken over this. [s]"""
 
 
-class _FaceRow(NamedTuple):
+class FaceRow(NamedTuple):
     """A scan: the faces' medians, the plate, and the usable sensors of each face."""
 
     time: float
@@ -124,7 +125,7 @@ class PressEventDetector:
     def __init__(self, press: Press, inserted: bool | None = None, *, placing: bool = True) -> None:
         self._columns = columns_of(press)
         self._placing = placing
-        self._rows: list[_FaceRow] = []
+        self._rows: list[FaceRow] = []
         self._times: list[float] = []
         """Of the rows. [s]"""
         self._top, self._bottom = Face(), Face()
@@ -140,7 +141,9 @@ class PressEventDetector:
         """What a wire says at the newest scan; None where none does."""
         self._switch: bool | None = None
         self._last: dict[str, tuple[float, float]] = {}
-        """Of each channel: when it was read last, and its value. [s]"""
+        """Of each channel: when it was read last, and its value; while `_whole` is one, of before it. [s]"""
+        self._whole: tuple[float, Mapping[str, float]] | None = None
+        """The last scan, if it had a value of every channel: its time [s] and its values."""
         self._step_s = math.inf
         """Between the scans before the newest. [s]"""
         self._read_s = -math.inf
@@ -180,11 +183,24 @@ class PressEventDetector:
     def update(self, time_s: float, values: Mapping[str, float]) -> list[PressEvent]:
         """Take one scan as it is (unusable values NaN or left out); return what it brought to light."""
         values = self._held(time_s, values)
-        self._append(time_s, values)
+        self._append(self._seen(time_s, values))
         self.closed_by_wire = switch = self.wires.read(time_s, values)
         if switch is not None:
             return self._by_switch(time_s, switch)
         self.disagreement = None
+        return self._by_temperatures(time_s)
+
+    def take(self, row: FaceRow) -> list[PressEvent]:
+        """Take a scan whose faces are known, of a press without wires; return what it brought to light."""
+        self._append(row)
+        self._read_s = row.time
+        return self._by_temperatures(row.time)
+
+    def skip(self, rows: Sequence[FaceRow]) -> None:
+        """Take the newest of scans that bring nothing to light (`waits_for`), as `rows_kept` says which."""
+        self._rows, self._times = list(rows), [row.time for row in rows]
+
+    def _by_temperatures(self, time_s: float) -> list[PressEvent]:
         if self._pending is not None:
             return self._place(time_s)
         kind = self._look()
@@ -196,8 +212,14 @@ class PressEventDetector:
     def _held(self, time_s: float, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values, where a channel has none its last one for a moment longer."""
         step = time_s - self._times[-1] if self._times else math.inf
-        since_s = time_s - max(_HOLD_S, _HOLD_SCANS * min(step, self._step_s))
-        self._step_s, held = step, dict(values)
+        before_s, self._step_s, held = self._step_s, step, dict(values)
+        if not math.isnan(sum(held.values())) and tuple(held) == self._names:
+            self._whole = (time_s, held)
+            return held
+        if self._whole is not None:
+            at, last = self._whole
+            self._last, self._whole = {name: (at, value) for name, value in last.items()}, None
+        since_s = time_s - max(HOLD_S, HOLD_SCANS * min(step, before_s))
         for name, value in values.items():
             if value == value:
                 self._last[name] = (time_s, value)
@@ -206,7 +228,8 @@ class PressEventDetector:
                 held[name] = value if at >= since_s else math.nan
         return held
 
-    def _append(self, time_s: float, values: Mapping[str, float]) -> None:
+    def _seen(self, time_s: float, values: Mapping[str, float]) -> FaceRow:
+        """Return the faces as a scan shows them."""
         names = tuple(values)
         if names != self._names:
             self._names = names
@@ -218,13 +241,16 @@ class PressEventDetector:
         platens = [v for n in self._platen_names if (v := values[n]) == v]
         plate = middle(platens) if platens else (self._rows[-1].plate if self._rows else math.nan)
         levels = self._top.update(top, elapsed), self._bottom.update(bottom, elapsed)
-        if any(self._last[name][0] == time_s for name in (*top, *bottom)):
+        if any(self._whole is not None or self._last[name][0] == time_s for name in (*top, *bottom)):
             self._read_s = time_s
+        return FaceRow(time_s, *levels, plate, top, bottom)
+
+    def _append(self, row: FaceRow) -> None:
         if self._first != self._first:
-            self._first = time_s
-        self._rows.append(_FaceRow(time_s, *levels, plate, top, bottom))
-        self._times.append(time_s)
-        while self._times[0] < time_s - INSERTION_S and len(self._times) > 4:
+            self._first = row.time
+        self._rows.append(row)
+        self._times.append(row.time)
+        while self._times[0] < row.time - INSERTION_S and len(self._times) > 4:
             del self._rows[0], self._times[0]
 
     # --- limit switch, pressure channel ----------------------------------------------------------
@@ -265,7 +291,7 @@ class PressEventDetector:
         opened = self._state is PressState.OPEN and self._was_closed
         return opened and time_s - self._since > CHANGE_S and time_s - self._read_s > BLIND_S
 
-    def _nothing_hot(self, row: _FaceRow) -> bool:
+    def _nothing_hot(self, row: FaceRow) -> bool:
         """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""
         limit = ROOM_C + _COLD_SHARE * _gap(row.plate, ROOM_C)
         faces = [face for face in (row.top, row.bottom) if face == face]
@@ -303,19 +329,21 @@ class PressEventDetector:
         step = self._rows[-1].time - self._rows[-2].time if len(self._rows) > 1 else 0.0
         return max(_LOOK_BACK_S, ONE_STEP * step)
 
-    def _row_before(self, seconds: float) -> _FaceRow | None:
+    def _row_before(self, seconds: float) -> FaceRow | None:
         """Return the newest row at least `seconds` before the newest, or the first where all are younger."""
         rows = bisect_right(self._times, self._times[-1] - seconds)
         if rows:
             return self._rows[rows - 1]
         return self._rows[0] if len(self._rows) > 1 else None
 
-    def _bottom_before(self, seconds: float) -> _FaceRow | None:
+    def _bottom_before(self, seconds: float) -> FaceRow | None:
         """Return the newest row at least `seconds` before the newest that shows the lower face."""
-        rows = bisect_right(self._times, self._times[-1] - seconds)
-        return next((r for r in self._rows[rows - 1 :: -1] if r.bottom == r.bottom), None) if rows else None
+        for at in reversed(range(bisect_right(self._times, self._times[-1] - seconds))):
+            if (row := self._rows[at]).bottom == row.bottom:
+                return row
+        return None
 
-    def _closed(self, now: _FaceRow, then: _FaceRow) -> bool:
+    def _closed(self, now: FaceRow, then: FaceRow) -> bool:
         """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
         if now.top == now.top and then.top == then.top:
             gap = _gap(now.plate, then.top)
@@ -330,7 +358,7 @@ class PressEventDetector:
         least = max(_LOWER_CLOSING_K, _LOWER_CLOSING_SHARE * gap)
         return gap > _LOWER_GAP_K and now.bottom - then.bottom - max(expected, 0.0) > least
 
-    def _slope_before(self, then: _FaceRow) -> float:
+    def _slope_before(self, then: FaceRow) -> float:
         """Return how fast the lower face moved before a row. [K/s]"""
         since = then.time - _SLOPE_OVER_S
         early = [r for r in self._rows if since <= r.time <= then.time and r.bottom == r.bottom]
@@ -338,7 +366,7 @@ class PressEventDetector:
             return 0.0
         return (early[-1].bottom - early[0].bottom) / (early[-1].time - early[0].time)
 
-    def _opened(self, now: _FaceRow, then: _FaceRow) -> bool:
+    def _opened(self, now: FaceRow, then: FaceRow) -> bool:
         """Both faces fall at once; the lower may stay where panel and plates had become equally hot."""
         if now.time - self._since < _OPENING_AFTER_S:
             return False
@@ -352,7 +380,7 @@ class PressEventDetector:
             return top > _ONE_FACE_TOP_K and _most_fell(now.tops, then.tops)
         return bottom > _ONE_FACE_BOTTOM_K and _most_fell(now.bottoms, then.bottoms)
 
-    def _sank(self, now: _FaceRow, then: _FaceRow | None) -> bool:
+    def _sank(self, now: FaceRow, then: FaceRow | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
         if then is None or then.time < self._since + OPENS_AFTER_S:
             return False
@@ -370,27 +398,26 @@ class PressEventDetector:
         """
         if self._state is not PressState.OPEN or not self._was_closed or self._times[0] > self._since + REACH_S:
             return None
-        since = [
-            row for row in self._rows if row.time >= self._since and row.top + row.bottom == row.top + row.bottom
-        ]
+        after = self._rows[bisect_left(self._times, self._since) :]
+        since = [row for row in after if row.top + row.bottom == row.top + row.bottom]
         lowest = min(since, key=lambda row: row.top, default=None)
         if lowest is None or lowest.time - self._since >= REACH_S:
             return None
         risen = min(since[-1].top - lowest.top, since[-1].bottom - min(row.bottom for row in since))
         return lowest.time if risen > BREAK_K else None
 
-    def _inserted(self, now: _FaceRow, then: _FaceRow) -> bool:
+    def _inserted(self, now: FaceRow, then: FaceRow) -> bool:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""
         if now.bottom != now.bottom or then.bottom != then.bottom:
             return self._upper_only(now, then)
-        early = self._row_before(_SLOW_S) or then
         if now.bottom < HAND_C:
             return False
         if self._jumped(now, then, _INSERTION_SHARE):
             return True
+        early = self._row_before(_SLOW_S) or then
         return early.bottom < HAND_C and self._jumped(now, early, _SLOW_INSERTION_SHARE)
 
-    def _jumped(self, now: _FaceRow, then: _FaceRow, share: float) -> bool:
+    def _jumped(self, now: FaceRow, then: FaceRow, share: float) -> bool:
         """Whether the lower face alone rose by a share of its distance to the plate."""
         gap, rise = _gap(now.plate, then.bottom), now.bottom - then.bottom
         if not (gap > _LEAST_GAP_K and rise > max(_INSERTION_K, share * gap)):
@@ -399,16 +426,16 @@ class PressEventDetector:
             return False
         return _together(now.bottoms, then.bottoms, 0.5 * share * gap)
 
-    def _upper_only(self, now: _FaceRow, then: _FaceRow) -> bool:
+    def _upper_only(self, now: FaceRow, then: FaceRow) -> bool:
         """Where no sensor of the lower face is read, not only for a scan, the upper one has warmed."""
         early = self._row_before(_SLOW_S) or then
         if self._bottom_before(0.0) is not None or not now.top > _HAND_RATIO * HAND_C:
             return False
         return now.top > then.top and now.top - early.top > _WARMED_K
 
-    def _removed(self, now: _FaceRow) -> bool:
+    def _removed(self, now: FaceRow) -> bool:
         """The lower face lost its plate, and then got cold or its sensors came off one by one."""
-        by_bottom = any(row.bottom == row.bottom for row in self._rows)
+        by_bottom = now.bottom == now.bottom or any(row.bottom == row.bottom for row in self._rows)
         level = now.bottom if by_bottom else now.top
         if level != level:
             return False  # the cool upper face is no stand-in for a lower sensor that blinks
@@ -432,14 +459,14 @@ class PressEventDetector:
         self._lifted = (moment, min(level, lowest), spread)
         return level < ROOM_C + _COOLING_SHARE * gap or self._spread(now) > spread + _SPREAD_K
 
-    def _spread(self, now: _FaceRow) -> float:
+    def _spread(self, now: FaceRow) -> float:
         """Return how far the lower face's sensors lie apart, without the two most extreme where there are many."""
         values = sorted(now.bottoms.values())
         if len(values) < 2:
             return 0.0
         return values[-2] - values[1] if len(values) >= 4 else values[-1] - values[0]
 
-    def _left_plate(self, now: _FaceRow) -> bool:
+    def _left_plate(self, now: FaceRow) -> bool:
         """Whether the lower face falls against its trend."""
         if now.bottom != now.bottom or now.time - self._since < _LEFT_AFTER_S:
             return False
@@ -527,3 +554,34 @@ def _most_fell(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
 def _gap(plate: float, face: float) -> float:
     """Return how much hotter the plate is; with no platen column, what a press usually has."""
     return plate - face if plate == plate else _USUAL_GAP_K
+
+
+def rows_kept(times: Array) -> Array:
+    """Return from which row on a detector holds rows at each of a table's rows (rows)."""
+    near, fourth = np.searchsorted(times, times - INSERTION_S), np.arange(len(times)) - 3
+    return np.asarray(np.maximum(np.minimum(near, fourth), 0))
+
+
+def waits_for(times: Array, top: Array, bottom: Array) -> dict[PressState, NDArray[np.intp]]:
+    """Return the rows of a table at which something may be plain, by what the press is doing: no other shows any.
+
+    Each is the least that `PressEventDetector` asks of the faces in that state. In the open press, where a panel
+    may leave, it asks every row.
+    """
+    kept = rows_kept(times)
+
+    def before(seconds: Array | float) -> Array:
+        return np.maximum(np.searchsorted(times, times - seconds, side="right") - 1, kept)
+
+    steps = np.diff(times, prepend=times[:1])
+    then, early = before(np.maximum(_LOOK_BACK_S, ONE_STEP * steps)), before(_SLOW_S)
+    sank = np.any([top[row] - top > _SANK_K for row in map(before, _SANK_BACK_S)], axis=0)
+    fell = (top[then] - top > _OPENING_TOP_K) | (bottom[then] - bottom > _ONE_FACE_BOTTOM_K)
+    closes = top - top[then] >= _CLOSING_K
+    jumped = (bottom - bottom[then] > _INSERTION_K) | (bottom - bottom[early] > _INSERTION_K)
+    upper_only = np.isnan(bottom + bottom[then]) & (top > _HAND_RATIO * HAND_C)
+    inserted = (jumped & (bottom >= HAND_C)) | upper_only
+    return {
+        PressState.CLOSED: np.flatnonzero(fell | sank),
+        PressState.IDLE: np.flatnonzero(closes | inserted),
+    }

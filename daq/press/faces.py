@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +17,10 @@ RATTLE_S = 10.0
 """How long a sensor's restlessness is remembered: longer than a closing, shorter than a pressing. [s]"""
 LOW_C, HIGH_C = -60.0, 500.0
 """A panel's sensor outside this is broken: colder than any hall, hotter than charred wood. [°C]"""
-_RATTLE_K, _RATTLE_RATIO = 0.4, 5.0
+RATTLE_K, RATTLE_RATIO = 0.4, 5.0
 """A sensor is left out where its second differences exceed both together: so many kelvins, and so many times what
 the middle sensor of its face does. [K]"""
-_STEP_FADES_S = 10.0
+STEP_FADES_S = 10.0
 """How fast the step of a sensor that dropped out or returned is let go. [s]"""
 _BRIDGED_S = 3.0
 """A stored run's gap in one sensor is bridged by a straight line up to this. [s]"""
@@ -69,43 +69,65 @@ class Face:
         self.before: Mapping[str, float] = {}
         self.shift = 0.0
         self.level = math.nan
-        self.members: Set[str] = frozenset()
+        self.members: Sequence[str] = ()
+        """Sensors of the last scan that were there in the one before as well."""
         self.motion: dict[str, tuple[float, float, float]] = {}
-        """Of each sensor: last value, last step, how much it rattles. [°C, K, K]"""
+        """Of each sensor seen before, those of the last scan aside: last value, last step, how much it rattles.
+        [°C, K, K]"""
+        self.moved: Sequence[str] = ()
+        """Sensors of the last scan; in their order the three numbers of each below."""
+        self.last: list[float] = []
+        self.steps: list[float] = []
+        self.rattles: list[float] = []
 
     def update(self, values: Mapping[str, float], elapsed_s: float) -> float:
         """Return the face's temperature after a scan's usable values, which are kept as they are."""
         values = self._quiet(values, elapsed_s)
         if not values:
-            self.before, self.level = {}, math.nan
+            self.before, self.members, self.level = {}, (), math.nan
             return math.nan
-        now, before = values.keys(), self.before.keys()
-        common = now if now == before else now & before
-        self.shift *= math.exp(-elapsed_s / _STEP_FADES_S)
-        if not common:
-            self.shift, common = 0.0, now
-        elif common != self.members:
-            self.shift = self.level - middle([self.before[c] for c in common])
-        self.level = middle([values[c] for c in common]) + self.shift
-        self.members, self.before = common, values
+        names: Sequence[str] = tuple(values)
+        if self.shift:
+            self.shift *= math.exp(-elapsed_s / STEP_FADES_S)
+        if names != self.members:
+            names = self._common(names)
+        self.level = middle([values[c] for c in names]) + self.shift
+        self.members, self.before = names, values
         return self.level
+
+    def _common(self, names: Sequence[str]) -> Sequence[str]:
+        """Return the sensors that were there before, all where none was; they make no step of their own."""
+        common = tuple(name for name in names if name in self.before)
+        if not common:
+            self.shift, common = 0.0, tuple(names)
+        elif set(common) != set(self.members):
+            self.shift = self.level - middle([self.before[c] for c in common])
+        return common
 
     def _quiet(self, values: Mapping[str, float], elapsed_s: float) -> Mapping[str, float]:
         """Leave out sensors that rattle far more than the others of the face."""
+        names, now = tuple(values), list(values.values())
+        if names != self.moved:
+            self._take(names, now)
         share = min(1.0, elapsed_s / RATTLE_S)
-        keep, motion, rattles = 1.0 - share, self.motion, []
-        for name, value in values.items():
-            last, before, rattle = motion.get(name, (value, 0.0, 0.0))
-            step = value - last
-            rattle = keep * rattle + share * abs(step - before)
-            motion[name] = (value, step, rattle)
-            rattles.append(rattle)
-        if len(values) < 3:
+        keep, before = 1.0 - share, self.steps
+        self.steps = [value - last for value, last in zip(now, self.last, strict=True)]
+        moves = zip(self.rattles, self.steps, before, strict=True)
+        self.rattles = rattles = [keep * rattle + share * abs(new - old) for rattle, new, old in moves]
+        self.last = now
+        if len(now) < 3 or (most := max(rattles)) <= RATTLE_K:
             return values
-        limit = _RATTLE_K + _RATTLE_RATIO * middle(rattles)
-        if rattles[-1] <= limit:  # the largest, now that they are sorted
+        limit = RATTLE_K + RATTLE_RATIO * middle(rattles.copy())
+        if most <= limit:
             return values
-        return {n: v for n, v in values.items() if motion[n][2] <= limit}
+        return {n: v for (n, v), rattle in zip(values.items(), rattles, strict=True) if rattle <= limit}
+
+    def _take(self, names: Sequence[str], now: Sequence[float]) -> None:
+        """Go on with other sensors than at the last scan, each from where it was seen last."""
+        self.motion |= dict(zip(self.moved, zip(self.last, self.steps, self.rattles, strict=True), strict=True))
+        known = [self.motion.get(name, (value, 0.0, 0.0)) for name, value in zip(names, now, strict=True)]
+        self.moved = names
+        self.last, self.steps, self.rattles = ([one[part] for one in known] for part in range(3))
 
 
 def face_of(run: Run, names: Sequence[str]) -> Array:
@@ -116,7 +138,7 @@ def face_of(run: Run, names: Sequence[str]) -> Array:
     table = table[np.isfinite(table).any(axis=1)]
     if len(table) >= 3 and table.shape[1] >= 10:
         rattle = np.nan_to_num(np.nanmean(np.abs(np.diff(table, 2, axis=1)), axis=1), nan=np.inf)
-        table = table[rattle <= _RATTLE_K + _RATTLE_RATIO * float(np.median(rattle))]
+        table = table[rattle <= RATTLE_K + RATTLE_RATIO * float(np.median(rattle))]
     if not len(table):
         return np.full(len(run.time_s), np.nan)
     lost = np.isnan(table).all(axis=0)

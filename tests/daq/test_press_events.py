@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import erfc
 
-from daq.press.detector import _FaceRow
+from daq.press.detector import FaceRow
 from daq.press.events import PressEventDetector, find_moments
 from daq.press.faces import Face
 from daq.press.moments import closing_moment, opening_moment
@@ -677,5 +677,5 @@ def test_an_upper_face_that_warms_half_as_far_as_the_lower_one_is_no_insertion(u
 def test_one_sensor_far_from_the_rest_does_not_spread_a_face_of_many():
     detector = PressEventDetector(PRESS)
     for values, spread_K in (((20.0, 30.0, 31.0, 90.0), 1.0), ((20.0, 30.0, 90.0), 70.0), ((20.0,), 0.0)):
-        row = _FaceRow(0.0, 0.0, 0.0, 0.0, {}, {f"bottom_{i}": value for i, value in enumerate(values)})
+        row = FaceRow(0.0, 0.0, 0.0, 0.0, {}, {f"bottom_{i}": value for i, value in enumerate(values)})
         assert detector._spread(row) == spread_K
