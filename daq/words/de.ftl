@@ -444,7 +444,7 @@ recording-now = zeichnet { $presses } auf
 run-interrupted = Pressung { $run } wurde unterbrochen; ihre Daten sind erhalten
 scans-begin = Presse { $press }: Messzeilen beginnen
 scans-begin-late = Presse { $press }: die Aufzeichnung beginnt mit einer Platte, die schon heiß ist; wird sie gerade gepresst, wird der Rest dieser Pressung nicht als Pressung gespeichert: ihre Messzeilen bleiben wie die einer leeren Presse; ein Endschalter oder Druckkanal zeigt es
-scans-behind-others = Presse { $press }: der andere Rekorder hat seit { SPAN($seconds) } nichts geschrieben; was hier wartete, wird hinter seinen Messzeilen gespeichert
+scans-behind-others = Presse { $press }: der andere Rekorder hat seit { SPAN($seconds) } nichts geschrieben; was hier wartete, wird nach dessen Messzeilen gespeichert
 scans-left-out = Presse { $press }: { $count ->
         [one] eine Messzeile
        *[other] { $count } Messzeilen
@@ -463,7 +463,7 @@ store-trouble = { $why } ({ $count } warten)
 
 ## daq.store: the store
 
-archive-clock-ahead = { $press }: die Uhr geht { $days } Tage nach der Nacht davor; keine archivierten Messzeilen werden gelöscht, bis nach dieser Uhr einen Monat lang Nächte waren; die Uhr prüfen und, wenn sie falsch geht, stellen
+archive-clock-ahead = { $press }: die Uhr geht { $days } Tage nach der Nacht davor; keine archivierten Messzeilen werden gelöscht, bis der nächtliche Lauf nach dieser Uhr einen Monat lang gelaufen ist; die Uhr prüfen und, wenn sie falsch geht, stellen
 archive-file-damaged = Archivdatei { $file }: nicht mehr, was geschrieben wurde; sie aus einer Sicherung des Archivs zurückholen
 archive-file-mended = die Archivdatei der Pressung { $run } ist wieder heil
 archive-file-missing = Archivdatei { $file }: fehlt; sie aus einer Sicherung des Archivs zurückholen oder ihren Datenträger einhängen
@@ -485,10 +485,25 @@ backup-no-folder = Sicherung { $file }: den Ordner { $folder } gibt es nicht; ih
 backup-rows-missing = Sicherung { $file }: beschädigt: Zeilen verweisen auf Zeilen, die fehlen
 backup-run-short = Sicherung { $file }: der Pressung { $run } fehlt die erste oder letzte Messzeile; eine andere Sicherung nehmen
 backup-unsound = Sicherung { $file }: kein heiler Datenspeicher: { $error }; eine andere Sicherung nehmen
-buffer-damaged = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben, { $lost } sind verloren; die Aufzeichnung läuft weiter
-buffer-damaged-uncounted = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben; wie viele verloren sind, ist nicht bekannt, mindestens { $lost }; die Aufzeichnung läuft weiter
-buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count } Einträge sind verloren; die Aufzeichnung läuft weiter
-buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Einträge sind verloren; die Aufzeichnung läuft weiter
+buffer-damaged = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept ->
+        [one] ein Eintrag war lesbar und bleibt
+       *[other] { $kept } Einträge waren lesbar und bleiben
+    }, { $lost } { $lost ->
+        [one] ist
+       *[other] sind
+    } verloren; die Aufzeichnung läuft weiter
+buffer-damaged-uncounted = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept ->
+        [one] ein Eintrag war lesbar und bleibt
+       *[other] { $kept } Einträge waren lesbar und bleiben
+    }; wie viele verloren sind, ist nicht bekannt, mindestens { $lost }; die Aufzeichnung läuft weiter
+buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count ->
+        [one] ein Eintrag ist
+       *[other] { $count } Einträge sind
+    } verloren; die Aufzeichnung läuft weiter
+buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost ->
+        [one] ein Eintrag ist
+       *[other] { $lost } Einträge sind
+    } verloren; die Aufzeichnung läuft weiter
 buffer-place-is-folder = store.buffer = { $file }: ist ein Ordner; eine Datei darin angeben
 buffer-place-no-folder = store.buffer = { $file }: den Ordner { $folder } gibt es nicht; ihn anlegen oder eine andere Datei angeben
 buffer-place-no-permission = keine Rechte zum Lesen und Schreiben
@@ -502,9 +517,16 @@ buffer-rows-unreadable =
 buffer-sum-wrong = Prüfsumme falsch
 buffer-unusable = Puffer { $file }: { $error }; seinen Datenträger und Ordner prüfen oder eine andere Datei als buffer in [store] angeben; die Aufzeichnung läuft weiter, aber solange der Datenspeicher nicht erreichbar ist, warten Messzeilen im Arbeitsspeicher
 event-twice = Presse { $press }: { $kind } ist zu einem anderen Zeitpunkt der Messzeile { $scan } schon aufgezeichnet; das zweite Ereignis wird nicht gespeichert
-events-lost = Presse { $press }: { $count } Ereignisse verloren: der Datenspeicher war länger nicht erreichbar, als der Platz reichte
+events-lost = Presse { $press }: { $count ->
+        [one] ein Ereignis
+       *[other] { $count } Ereignisse
+    } verloren: der Datenspeicher war länger nicht erreichbar, als der Platz reichte
 item-set-aside = Presse { $press }: der Datenspeicher nimmt { $what } nicht an: { $why }; beiseitegelegt in { $aside }, alles andere ist geschrieben
-left-unwritten = { $count } Einträge sind nicht geschrieben: Datenspeicher { $store } nimmt sie nicht an; sie gehen verloren, wenn dieser Prozess endet
+left-unwritten =
+    { $count ->
+        [one] ein Eintrag ist nicht geschrieben: Datenspeicher { $store } nimmt ihn nicht an; er geht verloren, wenn dieser Prozess endet
+       *[other] { $count } Einträge sind nicht geschrieben: Datenspeicher { $store } nimmt sie nicht an; sie gehen verloren, wenn dieser Prozess endet
+    }
 line-set-aside = Der Datenspeicher nimmt eine Zeile des Journals nicht an; sie liegt in { $aside }
 model-from-sisters = gelernt von { $count ->
     [one] einer Presse
@@ -521,7 +543,7 @@ recipe-unknown = Rezept '{ $recipe }' gibt es nicht; es gibt: { $known }
 restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }
 run-end-without-run = Pressung { $run } endet bei Messzeile { $scan }, aber der Datenspeicher hat keine solche Pressung; ihre Messzeilen sind erhalten
 run-renamed = Pressung { $run } ist schon im Datenspeicher; diese Pressung wird als { $name } gespeichert
-run-short = der Pressung { $run } fehlen die ersten oder letzten Messzeilen im Datenspeicher; sie gilt jetzt als unterbrochen und hat die, die da sind, eine ältere Sicherung hat sie vielleicht ganz
+run-short = der Pressung { $run } fehlen die ersten oder letzten Messzeilen im Datenspeicher; sie gilt jetzt als unterbrochen und hat nur die übrigen; eine ältere Sicherung hat vielleicht alle
 scans-given-up = Der Datenspeicher ist zu lange nicht erreichbar: die ältesten wartenden Messzeilen werden verworfen; Puffer: { $where }
 scans-wait = { $why }; Messzeilen warten: { $where }
 set-aside-begin = den Beginn der Pressung { $run } mit allen Kopfdaten
@@ -1326,7 +1348,10 @@ resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier 
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
 resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
 resin-no-moisture = { $key } fehlt im Kopf oder ist 0, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
-steam-limit-no-marks = von keiner der { $runs } als good oder blister markierten Pressungen ist der Dampf beim Öffnen bekannt; Platten markieren ({ $key }) und panel.moisture_percent angeben
+steam-limit-no-marks = { $runs ->
+        [one] von der einen als good oder blister markierten Pressung ist der Dampf beim Öffnen nicht bekannt
+       *[other] von keiner der { $runs } als good oder blister markierten Pressungen ist der Dampf beim Öffnen bekannt
+    }; Platten markieren ({ $key }) und panel.moisture_percent angeben
 
 ## softsensor.jobs: services and nights
 
@@ -1342,7 +1367,10 @@ night-against-core-worse = der Kern wird schlechter
 night-against-not-significant = der Gewinn ist nicht signifikant
 night-against-predicts-worse = es sagt Pressungen schlechter vorher
 night-against-still-helps = ein Effekt, der wegfiele, verbessert die Anpassung noch
-night-archive = { $press }: { $archived } Pressungen ins Archiv verschoben ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB zu { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
+night-archive = { $press }: { $archived ->
+        [one] eine Pressung
+       *[other] { $archived } Pressungen
+    } ins Archiv verschoben ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB zu { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
         [0] { "" }
        *[other] , Messzeilen von { $removed } gelöscht
     }{ $later ->
@@ -1402,7 +1430,10 @@ night-outcome =
        *[none] noch kein Modell
     }: { $reason }
 night-rejected = { $version } abgelehnt: { $reason }
-night-too-few-runs = { $runs } Pressungen ausgewertet, { $needed } sind nötig
+night-too-few-runs = { $runs ->
+        [one] eine Pressung
+       *[other] { $runs } Pressungen
+    } ausgewertet, { $needed } sind nötig
 night-too-few-to-judge = zu wenige Pressungen für ein Urteil
 night-without-sisters = { $press }: beginnt ohne das, was baugleiche Pressen gelernt haben: { $why }
 night-workers-killed = { $press }: Die Prozesse, die an ihrer Nacht arbeiteten, wurden abgebrochen; der nächtliche Lauf arbeitet selbst daran, Pressung für Pressung
@@ -1821,13 +1852,31 @@ diagnosed-causes = { $name } (nicht zu unterscheiden von { $others }): { $worth 
 diagnosed-next = Als Nächstes: { $sentence }
 diagnosed-plan = Die nächsten Pressungen, die am meisten bringen (Einzelheiten: kerntemp plan):
 diagnosed-residual = Residuum { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, erweitertes Modell { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
-terminal-backup-archive = die Messzeilen von { $runs } Pressungen sind im Archiv: auch den Ordner { $folder } kopieren
-terminal-backup-contents = { $runs } Pressungen, { $scans } Messzeilen, { $fits } Anpassungen, { $models } Modelle
+terminal-backup-archive = die Messzeilen von { $runs ->
+        [one] einer Pressung
+       *[other] { $runs } Pressungen
+    } sind im Archiv: auch den Ordner { $folder } kopieren
+terminal-backup-contents = { $runs ->
+        [one] eine Pressung
+       *[other] { $runs } Pressungen
+    }, { $scans ->
+        [one] eine Messzeile
+       *[other] { $scans } Messzeilen
+    }, { $fits ->
+        [one] eine Anpassung
+       *[other] { $fits } Anpassungen
+    }, { $models ->
+        [one] ein Modell
+       *[other] { $models } Modelle
+    }
 terminal-backup-one-only = --verify und --restore schließen einander aus; eins angeben: das Einspielen prüft die Kopie zuerst
 terminal-backup-restored = { $file } eingespielt und verglichen: { $contents }
 terminal-backup-sound = { $file } ist in Ordnung: { $contents }
 terminal-backup-written = { $file } geschrieben und geprüft: { $contents }
-terminal-calibrate-added = { $path }: { $entries } Einträge vom { $day } ergänzt
+terminal-calibrate-added = { $path }: { $entries ->
+        [one] ein Eintrag
+       *[other] { $entries } Einträge
+    } vom { $day } ergänzt
 terminal-calibrate-needs-mode = calibrate: entweder --room mit der Anzeige des Thermometers angeben oder --warm
 terminal-calibrate-no-file = calibrate --write: kein Messgerät in { $config } hat eine Kalibrierdatei; einem den Namen einer Datei geben, etwa calibration = "{ $logger }.toml"
 terminal-calibrate-not-kept = { $logger }: Versatz nicht aufgehoben; ihm den Namen einer Datei geben, calibration = "{ $logger }.toml"
@@ -2215,7 +2264,10 @@ demo-named-none = Nächtlicher Lauf: Urteil „{ $verdict }“, keine Ursache be
 demo-next = Nächste Messung: { $what }
 demo-night = Nächtlicher Lauf: alle Pressungen werden neu angepasst, und gesucht wird, was das Modell falsch macht ...
 demo-night-awaited = Darauf wird gewartet; Strg-C beendet die Demonstration ohne sein Ergebnis.
-demo-night-comes = Nach { $pressings } Pressungen, in etwa { $minutes } min, sucht der nächtliche Lauf, was das Modell falsch macht; die Seite bleibt bis Strg-C.
+demo-night-comes = Nach { $pressings ->
+        [one] einer Pressung
+       *[other] { $pressings } Pressungen
+    }, in etwa { $minutes } min, sucht der nächtliche Lauf, was das Modell falsch macht; die Seite bleibt bis Strg-C.
 demo-night-left = Der nächtliche Lauf war im Gange und endet mit der Demonstration.
 demo-no-diagnosis = Der nächtliche Lauf hat keine Diagnose geschrieben.
 demo-no-message = keine Meldung
@@ -2485,8 +2537,12 @@ page-repeated = { $count }-mal in { $time }
 ## page: loggers
 
 page-archive = Archiv
-page-archive-holds = { $runs } Pressungen, { $size }{ $unsound ->
+page-archive-holds = { $runs ->
+        [one] eine Pressung
+       *[other] { $runs } Pressungen
+    }, { $size }{ $unsound ->
         [0] { "" }
+       [one] ; eine Datei fehlt oder ist beschädigt
        *[other] ; { $unsound } Dateien fehlen oder sind beschädigt
     }
 page-channel = Kanal

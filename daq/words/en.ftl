@@ -325,7 +325,7 @@ press-depth-outside = outside layer '{ $layer }', which is { NUMBER($thickness_m
 press-guess-outside = guess = { NUMBER($guess) } lies outside lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
 press-initial-needs = kind = "uniform" needs temperature_C, or a layer with from_run, whose start it then is
 press-layer-needs = needs { $keys } (or from_run = true)
-press-layer-outside = { $value } is what no matter has; must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) } (layer '{ $layer }')
+press-layer-outside = no material has { $value }; must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) } (layer '{ $layer }')
 press-layer-surplus = from_run = true takes its constants from the run; remove { $keys }
 press-layer-twice = layer names must differ; { $names } occurs twice
 press-no-place = must be LAYER.bottom, LAYER.middle, LAYER.top or {"{"} layer = LAYER, depth_mm = ... {"}"}
@@ -444,7 +444,7 @@ recording-now = recording { $presses }
 run-interrupted = run { $run } was interrupted; its data are kept
 scans-begin = press { $press }: scans begin
 scans-begin-late = press { $press }: recording begins with a panel that is hot already; if it is being pressed, the rest of that pressing is not stored as a run: its scans are kept like those of an idle press; a limit switch or pressure channel shows it
-scans-behind-others = press { $press }: the other recorder has written nothing for { SPAN($seconds) }; what waited here is stored behind its scans
+scans-behind-others = press { $press }: the other recorder has written nothing for { SPAN($seconds) }; what waited here is stored after its scans
 scans-left-out = press { $press }: { $count ->
         [one] one scan
        *[other] { $count } scans
@@ -463,7 +463,7 @@ store-trouble = { $why } ({ $count } waiting)
 
 ## daq.store: the store
 
-archive-clock-ahead = { $press }: the clock is { $days } days past the night before; no archived scans are deleted until nights have come for a month by this clock; check the clock, and correct it if it is wrong
+archive-clock-ahead = { $press }: the clock is { $days } days past the night before; no archived scans are deleted until the nightly job has run for a month by this clock; check the clock, and correct it if it is wrong
 archive-file-damaged = archive file { $file }: no longer what was written; copy it back from a backup of the archive
 archive-file-mended = the archive file of run { $run } is sound again
 archive-file-missing = archive file { $file }: missing; copy it back from a backup of the archive, or mount the disk it is on
@@ -485,10 +485,25 @@ backup-no-folder = backup { $file }: folder { $folder } does not exist; create i
 backup-rows-missing = backup { $file }: damaged: rows refer to rows that are not there
 backup-run-short = backup { $file }: run { $run } lacks its first or last scan; take another backup
 backup-unsound = backup { $file }: not a sound store: { $error }; take another backup
-buffer-damaged = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on, { $lost } are lost; recording goes on
-buffer-damaged-uncounted = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on; how many are lost is not known, { $lost } at least; recording goes on
-buffer-emptied = buffer { $file }: somebody deleted it; { $count } entries are lost; recording goes on
-buffer-gone = buffer { $file } is gone ({ $error }): created again; { $lost } entries are lost; recording goes on
+buffer-damaged = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept ->
+        [one] one entry could be read and goes on
+       *[other] { $kept } entries could be read and go on
+    }, { $lost } { $lost ->
+        [one] is
+       *[other] are
+    } lost; recording goes on
+buffer-damaged-uncounted = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept ->
+        [one] one entry could be read and goes on
+       *[other] { $kept } entries could be read and go on
+    }; how many are lost is not known, { $lost } at least; recording goes on
+buffer-emptied = buffer { $file }: somebody deleted it; { $count ->
+        [one] one entry is
+       *[other] { $count } entries are
+    } lost; recording goes on
+buffer-gone = buffer { $file } is gone ({ $error }): created again; { $lost ->
+        [one] one entry is
+       *[other] { $lost } entries are
+    } lost; recording goes on
 buffer-place-is-folder = store.buffer = { $file }: is a folder; give a file in it
 buffer-place-no-folder = store.buffer = { $file }: folder { $folder } does not exist; create it, or give another file
 buffer-place-no-permission = no permission to read and write
@@ -502,9 +517,16 @@ buffer-rows-unreadable =
 buffer-sum-wrong = its checksum is wrong
 buffer-unusable = buffer { $file }: { $error }; check its disk and folder, or give another file as buffer of [store]; recording goes on, but while the store is away scans wait in memory
 event-twice = press { $press }: { $kind } is recorded at another moment of scan { $scan } already; the second is not kept as an event
-events-lost = press { $press }: { $count } press events lost: the store was unreachable for longer than there was room
+events-lost = press { $press }: { $count ->
+        [one] one press event
+       *[other] { $count } press events
+    } lost: the store was unreachable for longer than there was room
 item-set-aside = press { $press }: the store does not take { $what }: { $why }; set aside in { $aside }, everything else is written
-left-unwritten = { $count } entries are not written: store { $store } does not take them; they are lost when this process ends
+left-unwritten =
+    { $count ->
+        [one] one entry is not written: store { $store } does not take it; it is lost when this process ends
+       *[other] { $count } entries are not written: store { $store } does not take them; they are lost when this process ends
+    }
 line-set-aside = the store does not take a line of the journal; it is set aside in { $aside }
 model-from-sisters = learned from { $count ->
     [one] one press
@@ -521,7 +543,7 @@ recipe-unknown = there is no recipe '{ $recipe }'; there are: { $known }
 restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }
 run-end-without-run = run { $run } ends at scan { $scan }, but the store has no such run; its scans are kept
 run-renamed = run { $run } is in the store already; this pressing is stored as { $name }
-run-short = run { $run } lacks its first or last scans in the store; it is an interrupted one of those that are there now, an older backup may hold it whole
+run-short = run { $run } lacks its first or last scans in the store; it now counts as interrupted and has those that are left, an older backup may hold all of them
 scans-given-up = the store has been unreachable for too long: the oldest waiting scans are dropped; buffer: { $where }
 scans-wait = { $why }; scans wait in { $where }
 set-aside-begin = the beginning of run { $run } with all of its header
@@ -844,14 +866,14 @@ run-too-short =
   }; a run needs at least two
 sensor-outside-layer = { $run }: a sensor at depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } lies outside layer '{ $layer }', { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm thick in this run; correct its place or the thickness
 solve-exact-contact-changes = method = 'exact': a contact changes while the press is closed; use the implicit solver
-solve-exact-moments-too-near = method = 'exact': less than four steps in { NUMBER($seconds, maximumFractionDigits: 6) } s between two moments of the press; use the implicit solver
+solve-exact-moments-too-near = method = 'exact': fewer than four steps in { NUMBER($seconds, maximumFractionDigits: 6) } s between two moments of the press; use the implicit solver
 solve-exact-not-linear = method = 'exact': { $what } is not linear; use the implicit solver
-solve-impossible = { $run }: these contacts and sources lead to { $found } °C, not between { NUMBER($coldest, maximumFractionDigits: 2) } and { NUMBER($hottest, maximumFractionDigits: 0) } °C; no matter has such values, so check them
-solve-no-temperatures = { $run }: these contacts and sources lead to no finite temperatures; no matter has such values, so check them
+solve-impossible = { $run }: these contacts and sources lead to { $found } °C, not between { NUMBER($coldest, maximumFractionDigits: 2) } and { NUMBER($hottest, maximumFractionDigits: 0) } °C; no material has such values, so check them
+solve-no-temperatures = { $run }: these contacts and sources lead to no finite temperatures; no material has such values, so check them
 solve-table-or-radiation = a property table or radiation
 solve-unknown-method = method = { $method }: must be 'implicit' or 'exact'
 solve-value-out-of-range = { $name } = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
-start-layer-without-reading = { $run }: [initial] kind = "sensors" needs a reading in layer '{ $layer }'; empty are { $columns }: fill one, or give kind = "steady" or "uniform"
+start-layer-without-reading = { $run }: [initial] kind = "sensors" needs a reading in layer '{ $layer }'; { $columns } are empty: fill one, or give kind = "steady" or "uniform"
 start-no-readings = { $run }: [initial] kind = "sensors" needs a reading; all panel columns are empty
 start-not-steady = { $run }: { $why }; give [initial] kind = "uniform" with temperature_C, or "sensors", or correct the boundaries and contacts
 start-not-steady-steep = its steady temperatures cannot be found: properties or radiation change too steeply with temperature
@@ -1308,7 +1330,10 @@ resin-is-example = the resin "{ $name }" is an example; measure the paper at han
 resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
 resin-no-limits = the resin file has no limit in [limits], so open_now stays 0; set cure_least
 resin-no-moisture = { $key } is missing or 0 in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
-steam-limit-no-marks = for none of { $runs } runs marked good or blister is the steam at opening known; mark panels ({ $key }), and give panel.moisture_percent
+steam-limit-no-marks = { $runs ->
+        [one] for the one run marked good or blister the steam at opening is not known
+       *[other] for none of { $runs } runs marked good or blister is the steam at opening known
+    }; mark panels ({ $key }), and give panel.moisture_percent
 
 ## softsensor.jobs: services and nights
 
@@ -1324,7 +1349,10 @@ night-against-core-worse = the core gets worse
 night-against-not-significant = the gain is not significant
 night-against-predicts-worse = it predicts runs worse
 night-against-still-helps = an effect it would drop still improves the fit
-night-archive = { $press }: { $archived } runs moved into the archive ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB to { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
+night-archive = { $press }: { $archived ->
+        [one] one run
+       *[other] { $archived } runs
+    } moved into the archive ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB to { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
         [0] { "" }
        *[other] , scans of { $removed } deleted
     }{ $later ->
@@ -1385,7 +1413,10 @@ night-outcome =
        *[none] no model yet
     }: { $reason }
 night-rejected = { $version } rejected: { $reason }
-night-too-few-runs = { $runs } runs fitted, { $needed } are needed
+night-too-few-runs = { $runs ->
+        [one] one run
+       *[other] { $runs } runs
+    } fitted, { $needed } are needed
 night-too-few-to-judge = too few runs to judge by
 night-without-sisters = { $press }: it begins without what presses of the same kind have learned: { $why }
 night-workers-killed = { $press }: the workers that worked on its night were killed; the nightly job works on it itself, run by run
@@ -1810,13 +1841,31 @@ diagnosed-causes = { $name } (not distinguished from { $others }): { $worth }; {
 diagnosed-next = Next: { $sentence }
 diagnosed-plan = The next pressings worth most (details: kerntemp plan):
 diagnosed-residual = residual { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, extended model { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
-terminal-backup-archive = the scans of { $runs } runs are in the archive: copy the folder { $folder } too
-terminal-backup-contents = { $runs } runs, { $scans } scans, { $fits } fits, { $models } models
+terminal-backup-archive = the scans of { $runs ->
+        [one] one run
+       *[other] { $runs } runs
+    } are in the archive: copy the folder { $folder } too
+terminal-backup-contents = { $runs ->
+        [one] one run
+       *[other] { $runs } runs
+    }, { $scans ->
+        [one] one scan
+       *[other] { $scans } scans
+    }, { $fits ->
+        [one] one fit
+       *[other] { $fits } fits
+    }, { $models ->
+        [one] one model
+       *[other] { $models } models
+    }
 terminal-backup-one-only = --verify and --restore exclude each other; give one: restoring checks the copy first
 terminal-backup-restored = { $file } restored and compared: { $contents }
 terminal-backup-sound = { $file } is sound: { $contents }
 terminal-backup-written = { $file } written and checked: { $contents }
-terminal-calibrate-added = { $path }: { $entries } entries of { $day } added
+terminal-calibrate-added = { $path }: { $entries ->
+        [one] one entry
+       *[other] { $entries } entries
+    } of { $day } added
 terminal-calibrate-needs-mode = calibrate: give either --room with the thermometer's reading or --warm
 terminal-calibrate-no-file = calibrate --write: no logger of { $config } has a calibration file; give one the name of a file to make, such as calibration = "{ $logger }.toml"
 terminal-calibrate-not-kept = { $logger }: offsets not kept; give it the name of a file, calibration = "{ $logger }.toml"
@@ -2201,7 +2250,10 @@ demo-named-none = Nightly job: verdict “{ $verdict }”, no cause named
 demo-next = Next measurement: { $what }
 demo-night = Nightly job: refitting all runs and looking for what the model gets wrong ...
 demo-night-awaited = Waiting for it; Ctrl-C ends the demonstration without its answer.
-demo-night-comes = After { $pressings } pressings, in about { $minutes } min, the nightly job looks for what the model gets wrong; the page stays until Ctrl-C.
+demo-night-comes = After { $pressings ->
+        [one] one pressing
+       *[other] { $pressings } pressings
+    }, in about { $minutes } min, the nightly job looks for what the model gets wrong; the page stays until Ctrl-C.
 demo-night-left = The nightly job was under way and is ended with the demonstration.
 demo-no-diagnosis = The nightly job wrote no diagnosis.
 demo-no-message = no message
@@ -2471,8 +2523,12 @@ page-repeated = { $count } times in { $time }
 ## page: loggers
 
 page-archive = Archive
-page-archive-holds = { $runs } runs, { $size }{ $unsound ->
+page-archive-holds = { $runs ->
+        [one] one run
+       *[other] { $runs } runs
+    }, { $size }{ $unsound ->
         [0] { "" }
+       [one] ; one file missing or damaged
        *[other] ; { $unsound } files missing or damaged
     }
 page-channel = Channel

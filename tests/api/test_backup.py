@@ -14,7 +14,7 @@ def test_a_copy_is_made_checked_and_restored(tmp_path, capsys):
     assert main(["backup", copy, "--store", store]) == 0
     assert main(["backup", copy, "--verify"]) == 0
     assert main(["backup", copy, "--restore", "--store", again]) == 0
-    assert capsys.readouterr().out.count("1 runs, 9 scans") == 3
+    assert capsys.readouterr().out.count("one run, 9 scans") == 3
     with open_store(again) as opened:
         assert opened.load_run("one").columns["top_1"].tolist() == list(range(9))
 

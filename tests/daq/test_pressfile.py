@@ -51,7 +51,7 @@ def test_press_without_an_open_entry_has_one_state() -> None:
         ),
         (
             PLATE.replace("45.0", "[[20.0, 1.0], [90.0, 1e9]]"),
-            r"layer\.0\.conductivity_W_mK: 1e\+09 is what no matter has; must be a number from 0\.005 to 5000",
+            r"layer\.0\.conductivity_W_mK: no material has 1e\+09; must be a number from 0\.005 to 5000",
         ),
         (PLATE.replace("45.0", "[[20.0, 1.0], [20.0, 2.0]]"), "temperatures rising"),
         (PLATE.replace("45.0", "[[nan, 1.0], [20.0, 2.0]]"), r"conductivity_W_mK.*finite number"),

@@ -283,7 +283,7 @@ def test_a_start_from_first_readings_needs_one_in_the_panel(lab_press, make_run,
     run = make_run(end=30.0, **{"initial.kind": "sensors"})
     model = ThermalModel.of(lab_press)
     with pytest.raises(
-        InputError, match=r"\[initial\] kind = \"sensors\" .* 'panel'; empty are top_1, .*: fill one"
+        InputError, match=r"\[initial\] kind = \"sensors\" .* 'panel'; top_1, .* are empty: fill one"
     ):
         model.solve(model.prepare(run, moments), coefficients)
     run.columns["bottom_2"][:5] = 31.0

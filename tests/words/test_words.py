@@ -195,6 +195,25 @@ def test_there_are_english_and_german():
     assert "de" in languages()
 
 
+COUNTED = {
+    "buffer-damaged": ("kept", "lost"), "buffer-damaged-uncounted": ("kept",), "buffer-emptied": ("count",),
+    "buffer-gone": ("lost",), "demo-night-comes": ("pressings",), "events-lost": ("count",),
+    "left-unwritten": ("count",), "night-archive": ("archived",), "night-too-few-runs": ("runs",),
+    "page-archive-holds": ("runs", "unsound"), "steam-limit-no-marks": ("runs",),
+    "terminal-backup-archive": ("runs",), "terminal-backup-contents": ("runs", "scans", "fits", "models"),
+    "terminal-calibrate-added": ("entries",),
+}  # fmt: skip
+"""Sentences about so many of something that may well be a single one."""
+
+
+@pytest.mark.parametrize("language", languages())
+@pytest.mark.parametrize(("code", "of"), [(code, of) for code, several in COUNTED.items() for of in several])
+def test_of_a_single_one_a_sentence_has_the_singular(code, of, language):
+    others = dict.fromkeys(variables(patterns(language)[code]) - {of}, "x")
+    one, several = (words(Message(code, others | {of: n}), language) for n in (1, 7))
+    assert one != several.replace("7", "1")
+
+
 def test_a_message_within_a_message_is_put_into_the_same_language():
     inner = say("plain-text", text="top_1")
     assert words(say("plain-text", text=inner), "de") == "top_1"
