@@ -87,6 +87,8 @@ COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
 GAS_CONSTANT = 6.02214076e23 * 1.380649e-23
 """Avogadro's constant times Boltzmann's, both exact. (SI brochure, 9th ed. 2019) [J/mol K]"""
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""CODATA 2018, exact. [W/m²K⁴]"""
 
 
 class InputError(ValueError):

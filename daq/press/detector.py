@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.press.faces import HIGH_C, LOW_C, Face, columns_of, middle
+from daq.press.faces import BLIND_S, HIGH_C, LOW_C, Face, columns_of, middle
 from daq.press.moments import BREAK_K, INSERTION_S, REACH_S, FaceHistory, place_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import Wires
@@ -68,8 +68,6 @@ second one that says open."""
 HOLD_S, HOLD_SCANS = 1.5, 1.5
 """A channel's last value stands for this long, at least for so many scans: some loggers are slower than the scans
 they answer to, and a faulty answer is no change of the press. [s, scans]"""
-BLIND_S = 3.0
-"""Without a usable sensor this long, the state is unknown. [s]"""
 CHANGE_S = 15.0
 """A press opened for so long without a sensor to look at may hold another panel. [s]"""
 _WARMED_K = 2.0

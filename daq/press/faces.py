@@ -22,8 +22,9 @@ RATTLE_K, RATTLE_RATIO = 0.4, 5.0
 the middle sensor of its face does. [K]"""
 STEP_FADES_S = 10.0
 """How fast the step of a sensor that dropped out or returned is let go. [s]"""
-_BRIDGED_S = 3.0
-"""A stored run's gap in one sensor is bridged by a straight line up to this. [s]"""
+BLIND_S = 3.0
+"""A face unread for longer may have moved in any way: a stored run's gap is bridged by a straight line up to this,
+and without a usable sensor for longer the press's state is unknown. [s]"""
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def _plausible(values: Array) -> Array:
 
 
 def _bridged(times: Array, values: Array) -> Array:
-    """Fill gaps up to `_BRIDGED_S` by a straight line."""
+    """Fill gaps up to `BLIND_S` by a straight line."""
     good = np.isfinite(values)
     if good.all() or good.sum() < 2:
         return values
@@ -163,4 +164,4 @@ def _bridged(times: Array, values: Array) -> Array:
     place = np.clip(np.searchsorted(times[good], times), 1, good.sum() - 1)
     gap = times[good][place] - times[good][place - 1]
     inside = (times >= times[good][0]) & (times <= times[good][-1])
-    return np.asarray(np.where(good | (inside & (gap <= _BRIDGED_S)), filled, np.nan))
+    return np.asarray(np.where(good | (inside & (gap <= BLIND_S)), filled, np.nan))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from daq.press.detector import BLIND_S, HAND_C, HOT_SHARE
-from daq.press.faces import HIGH_C, LOW_C, columns_of, middle
+from daq.press.detector import HAND_C, HOT_SHARE
+from daq.press.faces import BLIND_S, HIGH_C, LOW_C, columns_of, middle
 from daq.press.press_file import Press
 from daq.records import ROOM_C
 

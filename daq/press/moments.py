@@ -60,7 +60,7 @@ _BEFORE_CLOSING_S, _BEFORE_OPENING_S = 1.3, 0.9
 """Rows so long before a closing, an opening is plain show the face undisturbed. [s]"""
 _SLOPES_K_S = (-3.0, 6.0)
 """No face that waits for its plate moves faster, down or up. [K/s]"""
-_LYING_DOWN_S = (0.02,)
+_LYING_DOWN_S = (STEP_S,)
 """A panel comes to lie on its plate at once: one step of the grid. [s]"""
 BEFORE_S = 0.2
 """A scan so long before a moment shows what was before it: moments are placed to 0.1 s. [s]"""

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Sequence
 
+from daq.records import COLDEST_C
 from daq.simulated.devices_converter import COLD_JUNCTION_C, Converter
 from daq.thermocouple import compensated, voltage
 
@@ -226,4 +227,4 @@ class Monitor:
             self._channel, self.think_s = channel, self._step_s
         value = values[channel - 1]
         shown = 0.0 if math.isnan(value) else value
-        return f"{shown if self._units[channel - 1] == 'CENT' else shown + 273.15:.1f}"
+        return f"{shown if self._units[channel - 1] == 'CENT' else shown - COLDEST_C:.1f}"

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.records import Array
+from daq.records import GAS_CONSTANT, Array
 from daq.simulated.physics import SolvedPressing
-from daq.simulated.physics_mesh import GAS_CONSTANT
+from daq.simulated.physics_kernel import ZERO_C
 
 STEP_S = 0.02
 """The faces change by less than 2 K in it at closing. [s]"""
@@ -47,8 +47,8 @@ def cured(solution: SolvedPressing, paper: Paper, times: Array) -> tuple[Array, 
     first, last = solution.steps["time"][[0, -1]]
     grid = np.linspace(first, last, 2 * round((last - first) / (2 * STEP_S)) + 1)
     faces = np.stack([solution.at("panel_bottom", grid), solution.at("panel_top", grid)])
-    kelvin = faces + 273.15
-    k = paper.rate * np.exp(-paper.activation / GAS_CONSTANT * (1.0 / kelvin - 1.0 / (paper.reference_C + 273.15)))
+    kelvin = faces + ZERO_C
+    k = paper.rate * np.exp(-paper.activation / GAS_CONSTANT * (1.0 / kelvin - 1.0 / (paper.reference_C + ZERO_C)))
     h = 2.0 * (grid[1] - grid[0])
     course = np.zeros((2, len(grid[::2])))
 

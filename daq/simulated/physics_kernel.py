@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.compiled import compiled
-from daq.records import Array
+from daq.records import COLDEST_C, STEFAN_BOLTZMANN, Array
 
 GAMMA = 4.3586652150845900e-01
 """Of ROS34PW2, as all coefficients below (the paper named above)."""
@@ -46,13 +46,13 @@ E_U = (_B - _B_EMBEDDED) @ _INVERSE
 T_STAGE = _ALPHA.sum(axis=1)
 G_STAGE = _GAMMAS.sum(axis=1)
 
-STEFAN_BOLTZMANN = 5.670374419e-8
-"""CODATA 2018, exact. [W/m²K⁴]"""
+ZERO_C = -COLDEST_C
+"""0 °C in kelvin. [K]"""
 VAPOUR_C = 100.0
 """Steam leaves layers above this and condenses in cooler ones. [°C]"""
 STEP_K = 3.0
 """How sharply laws that step do so. [K]"""
-CURE_REFERENCE_K = 423.15
+CURE_REFERENCE_K = 150.0 + ZERO_C
 """150 °C, where `CURE_RATE_150` holds. [K]"""
 
 SIGNALS = (
@@ -338,7 +338,7 @@ def contacts(at: Instant, f: float, T: Array, k: Knobs, s: PressStack, flow: Flo
     if k.lapse_from < middle < k.lapse_to:
         upper *= k.lapse_factor
     if k.emissivity > 0.0 and f < 1.0:
-        a, b = T[s.upper] + 273.15, T[s.upper - 1] + 273.15
+        a, b = T[s.upper] + ZERO_C, T[s.upper - 1] + ZERO_C
         upper += (1.0 - f) * k.emissivity * STEFAN_BOLTZMANN * (a * a + b * b) * (a + b)
     air = (1.0 - f) * (k.draught if middle > k.draught_from else 1.0)
     half = 0.5 * k.paper_r
@@ -368,7 +368,7 @@ def drying(T: float, w: float, k: Knobs) -> tuple[float, float, float]:
 @compiled(inner=True, nogil=True, error_model="numpy")
 def curing(face: float, k: Knobs) -> float:
     """Return the resin's rate constant. [1/s]"""
-    return k.cure_rate * np.exp(-k.cure_kelvin * (1.0 / (face + 273.15) - 1.0 / CURE_REFERENCE_K))  # type: ignore[no-any-return]
+    return k.cure_rate * np.exp(-k.cure_kelvin * (1.0 / (face + ZERO_C) - 1.0 / CURE_REFERENCE_K))  # type: ignore[no-any-return]
 
 
 @compiled(inner=True, nogil=True, error_model="numpy")

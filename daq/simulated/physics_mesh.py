@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from daq.records import Array
+from daq.records import GAS_CONSTANT, Array
 from daq.simulated.physics_kernel import Knobs, NodeState, PressStack
 from daq.simulated.physics_pressing import EASING_S, LOAD_REFERENCE, Pressing
 
@@ -20,8 +20,6 @@ CURE_ACTIVATION = 85e3
 """[J/mol]"""
 CURE_RATE_150 = 0.08
 """Of the impregnated paper's resin at 150 °C. [1/s]"""
-GAS_CONSTANT = 8.314462618
-"""CODATA 2018, exact. [J/mol K]"""
 SKIN = 0.15e-3
 """Depth over which the resin's heat is released. [m]"""
 DRYING_WIDTH = 3.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.compiled import compiled
 from daq.printed import on_screen
-from daq.records import COLDEST_C, GAS_CONSTANT
+from daq.records import COLDEST_C, GAS_CONSTANT, STEFAN_BOLTZMANN
 from softsensor.effects.effect import BENDS_C, REFERENCE_C
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Integers = NDArray[np.int64]
 # Numbers without another source were set by hand, 2026-11.
 
 ROWS, DROWS = 8, 7
-"""How many rows there are of each kind."""
+"""By definition: how many are named below."""
 CAP, G, LOSS, SRC, SLOPE, DIAG, COND, STAR = range(ROWS)
 """Heat capacity [J/m²K]; conductance of each interface; loss of each cell to ambient [W/m²K]; source
 [W/m²]; its slope; diagonal of K; conductivity; expected temperature."""
@@ -36,8 +36,6 @@ D = GAMMA / 2.0
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 """Liberties the compiler may take: none that would let it forget NaN or infinity."""
 
-STEFAN_BOLTZMANN = 5.670374419e-8
-"""CODATA 2018, exact. [W/m²K⁴]"""
 ZERO_C = -COLDEST_C
 """0 °C in kelvin. [K]"""
 BOILING_C = 100.0

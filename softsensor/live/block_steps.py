@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
+from daq.press.faces import BLIND_S
 from softsensor.live.march_steps import march_span
 
 Array = NDArray[np.float64]
@@ -19,8 +20,6 @@ BLOCK_S, EAGER_S = 0.45, 4.0
 
 QUIET_S = 2.5
 """So long after a switch innovations say nothing about changes. [s]"""
-HOLE_S = 3.0
-"""A face silent for longer may have moved in any way meanwhile. [s]"""
 
 
 class ScanRows(NamedTuple):
@@ -85,7 +84,7 @@ class FacesRead(NamedTuple):
     silent_s: Array
     """For how long one of them has been silent (1). [s]"""
     jumped_K: Array  # noqa: N815
-    """By how much one face and both had moved at most when they were read again after `HOLE_S` (2). [K]"""
+    """By how much one face and both had moved at most when they were read again after `BLIND_S` (2). [K]"""
 
 
 @compiled()
@@ -167,7 +166,7 @@ def march_between_faces(model, timing, blocks, faces, read):
                 read.last[side] = now
         outside[1, 0], outside[1, 1] = read.last[0], read.last[1]
         silent = read.silent_s[0] + elapsed
-        if seen and silent > HOLE_S:
+        if seen and silent > BLIND_S:
             read.jumped_K[0] = max(read.jumped_K[0], most)
             read.jumped_K[1] = max(read.jumped_K[1], min(least, most))
         read.silent_s[0] = 0.0 if seen else silent

@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from daq.press.detector import BLIND_S, CHANGE_S
+from daq.press.detector import CHANGE_S
 from daq.press.events import PressEventDetector
+from daq.press.faces import BLIND_S
 from daq.press.moments import REACH_S
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState
 from softsensor.effects.parameters import uniform_sd

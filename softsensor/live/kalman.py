@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from daq.press.faces import BLIND_S
 from daq.records import Array
 from softsensor.live import mixture_steps as mixtures
-from softsensor.live.block_steps import HOLE_S, Blocks, FacesRead, march_between_faces, single
+from softsensor.live.block_steps import Blocks, FacesRead, march_between_faces, single
 from softsensor.live.curing import Curing
 from softsensor.live.kalman_steps import StateEstimate, filter_blocks
 from softsensor.live.march_steps import PressTiming
@@ -140,7 +141,7 @@ class KalmanFilter:
         if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
             self.fit += fit
         elapsed = end - begin
-        if count and not quiet and elapsed > max(HOLE_S, 2.0 * self.block_s):
+        if count and not quiet and elapsed > max(BLIND_S, 2.0 * self.block_s):
             self.across = max(self.across, squares / count)
         self.block_s = elapsed if elapsed > 0.0 else math.inf
         self.worst *= math.exp(-elapsed / WORST_MEMORY_S)
@@ -249,7 +250,7 @@ class BetweenFaces:
     @property
     def knows(self) -> bool:
         """Whether both faces have been read whenever they moved."""
-        return bool(self.read.silent_s[0] < HOLE_S and self.read.jumped_K[0] < UNREAD_K)
+        return bool(self.read.silent_s[0] < BLIND_S and self.read.jumped_K[0] < UNREAD_K)
 
     @property
     def core(self) -> tuple[float, float]:

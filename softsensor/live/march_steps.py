@@ -22,7 +22,8 @@ Integers = NDArray[np.int64]
 # Numbers without another source were set by hand, 2026-11.
 
 LONGEST_STEP_S = 0.5
-"""Longest step of a march: a block's length, so that a settled block takes one. [s]"""
+"""Longest step of a march: what a block covers at 10 Hz (up to the first scan beyond `block_steps.BLOCK_S`), so
+that a settled one takes one. [s]"""
 _SWITCH_STEP_S, _SETTLING_S, _GROWTH = 0.08, 0.35, 0.15
 """Step around a ramp, how long beyond it such steps last, and how steps grow after. By hand, 2026-11. [s, s, -]
 

@@ -12,9 +12,9 @@ import math
 
 from daq.press.header import panel_of
 from daq.press.press_file import Boundary, BoundaryKind, InitialKind, Press
-from daq.records import Run
+from daq.records import STEFAN_BOLTZMANN, Run
 from softsensor.effects import catalogue
-from softsensor.heat.step_terms import STEFAN_BOLTZMANN, ZERO_C
+from softsensor.heat.step_terms import ZERO_C
 from softsensor.live.setup import RunSetup
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.instrument import PLATEN_TOTAL_K

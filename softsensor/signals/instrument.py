@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from daq.press.moments import CLOSING_RAMPS_S
 from softsensor.effects.parameters import uniform_sd
 
 # Thermocouples and logger
@@ -78,8 +79,8 @@ SWITCH_S = 0.06
 """How far a limit switch may lie off the middle of the ramp, beyond the scan it is known to. [s]
 
 It trips somewhere in a ramp of 0.2 to 1 s near its end; by hand, 2026-11."""
-RAMPS_S, RAMP_LIMITS_S = (0.2, 1.0), (0.1, 1.2)
-"""How long closing takes (contract, section 2), and limits beyond. [s]"""
+RAMPS_S, RAMP_LIMITS_S = (0.2, 1.0), (float(CLOSING_RAMPS_S[0]), float(CLOSING_RAMPS_S[-1]))
+"""How long closing takes (contract, section 2), and limits beyond, as a moment is looked for. [s]"""
 RAMP_S, RAMP_SD_S = sum(RAMPS_S) / 2.0, uniform_sd(RAMPS_S[1] - RAMPS_S[0])
 """Its mean and deviation, all lengths alike. [s]"""
 BEFORE_SWITCH_S, RAMP_GONE_S = 1.0, 1.5

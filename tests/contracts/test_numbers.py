@@ -1,5 +1,6 @@
 """Every number of the code says what it is, and none is added by hand without being counted."""
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -86,3 +87,15 @@ def test_every_number_of_a_module_says_in_words_what_it_is(package):
         if not words.strip()
     ]
     assert bare == []
+
+
+@pytest.mark.parametrize("value", [273.15, 5.670374419e-8, 6.02214076e23, 1.380649e-23], ids="{:g}".format)
+def test_a_constant_of_nature_is_written_once_and_the_virtual_press_reads_it_there(value):
+    written = [
+        path.relative_to(ROOT).as_posix()
+        for package in BY_HAND
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value == value
+    ]
+    assert written == ["daq/records.py"]
