@@ -206,6 +206,20 @@ def test_steps_are_fine_at_switches_and_end_with_the_run(moments):
         assert steps[near].max() < 0.05
 
 
+def test_steps_grow_with_the_time_since_the_last_switch_where_that_is_asked_for():
+    times, moments = np.arange(0.0, 3000.0), Moments(inserted_s=0.0, closed_s=1000.0)
+    edges = step_edges(times, moments, 0.5, 0.04, later=0.01)
+    steps, after = np.diff(edges), edges[:-1]
+    assert steps[(after > 900.0) & (after < 990.0)].min() > 8.0
+    assert steps[(after > 1001.0) & (after < 1050.0)].max() < 0.51
+    assert steps.max() <= 0.01 * 2000.0 * 1.25
+
+
+def test_a_platen_that_is_read_keeps_its_steps_however_long_the_run(lab_press, make_run):
+    run = make_run(end=600.0)
+    assert prepared(lab_press, run, Moments(inserted_s=0.0, closed_s=10.0)).h.max() < 0.63
+
+
 def test_step_means_keep_the_area_under_a_series():
     rng = np.random.default_rng(3)
     times = np.sort(rng.uniform(0.0, 10.0, 80))

@@ -375,6 +375,37 @@ def test_cured_resin_gave_off_all_its_heat(make_rig):
     assert gained == pytest.approx(2 * 15.0e3, rel=1e-4)
 
 
+HEATED = """
+[[layer]]
+name = "panel"
+from_run = true
+[initial]
+kind = "uniform"
+temperature_C = 20.0
+[boundary.top]
+kind = "flux"
+incident_W_m2 = 500.0
+coefficient = "h"
+[coefficients.h]
+guess = 0.01
+lower = 0.001
+upper = 1.0
+"""
+
+
+def test_hours_of_steady_heat_take_few_steps_and_stay_on_the_closed_form(make_rig):
+    """Carslaw & Jaeger, 2nd ed., Sec. 3.8: one face heated, the other insulated, no loss."""
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "panel.initial_temperature_C": 20.0}
+    model, run = make_rig(HEATED, np.arange(0.0, 7200.5, 10.0), {}, {"a": '"panel.bottom"'}, **header)
+    case = model.prepare(run, Moments())
+    alpha, n = 0.12 / (740.0 * 1550.0), np.arange(1, 200)[:, None]
+    fourier = alpha * run.time_s / 0.016**2
+    series = np.sum((-1.0) ** n / n**2 * np.exp(-((n * np.pi) ** 2) * fourier), axis=0)
+    rise = 500.0 * 0.016 / 0.12 * (fourier - 1.0 / 6.0 - 2.0 / np.pi**2 * series)
+    assert model.solve(case, {"h": 0.0}).places[:, 0] - 20.0 == pytest.approx(rise, abs=0.03)
+    assert len(case.h) < 2000
+
+
 @pytest.mark.parametrize("own", [0.0, 0.5, 0.95])
 def test_cure_at_one_temperature_is_its_closed_form_however_long_the_steps(make_rig, own):
     toml = '[[layer]]\nname = "panel"\nfrom_run = true\n[initial]\nkind = "uniform"\ntemperature_C = 130.0\n'
