@@ -156,7 +156,7 @@ def closing_moment(
     good = np.isfinite(face)
     times, face = times[good], face[good]
     level, slope = _trend(times, face, noticed)
-    onsets = np.arange(noticed - _NOTICED_AFTER_S, noticed + 1e-9, STEP_S)
+    onsets = np.arange(_earliest(times, noticed, _NOTICED_AFTER_S), noticed + 1e-9, STEP_S)
     onsets = onsets[onsets >= min(times[0], noticed) - STEP_S]
     near = times >= onsets[0]
     times, face = times[near], face[near]
@@ -174,6 +174,12 @@ def closing_moment(
         squares = (model * model) @ counts - 2.0 * (model @ sums) + share @ share
         misfit[i] = squares / error**2 + prior + lag[i]
     return _posterior(misfit, onsets, CLOSING_RAMPS_S, lag)
+
+
+def _earliest(times: Array, noticed: float, back_s: float) -> float:
+    """Return from when on an event plain at `noticed` may have begun: `back_s` or a scan before. [s]"""
+    before = times[times < noticed]
+    return min(noticed - back_s, float(before[-1])) if len(before) else noticed - back_s
 
 
 def _by_place(times: Array, onsets: Array, values: Array) -> tuple[Array, Array]:
@@ -275,7 +281,8 @@ def _kink(
 ) -> Placed:
     """Place a kink of both faces."""
     ramps = expected.ramps_s
-    onsets = np.arange(max(noticed - expected.back_s, times[0] - 1.0), noticed + 1e-9, STEP_S)
+    begin = max(_earliest(times, noticed, expected.back_s), times[0] - 1.0)
+    onsets = np.arange(begin, noticed + 1e-9, STEP_S)
     place = np.rint((times[None, :] - onsets[:, None]) / STEP_S).astype(int)
     table = _kink_table(ramps)
     place = np.clip(place, 0, table.shape[-1] - 1)
@@ -328,7 +335,10 @@ def place_moment(
     """
     reach = _REACH_LONG_S if after < noticed - _LONG_S else REACH_SHORT_S
     reach = INSERTION_S if kind is PressEventKind.INSERTED else reach
-    near = (faces.times > noticed - reach) & (faces.times >= after)
+    # an event is seen against two scans before it, however far apart they are
+    earlier = faces.times[faces.times < noticed][-2:]
+    first = min(noticed - reach, float(earlier[0]) - STEP_S) if len(earlier) else noticed - reach
+    near = (faces.times > first) & (faces.times >= after)
     times, top, bottom = faces.times[near], faces.top[near], faces.bottom[near]
     readable = [face for face in (top, bottom) if np.isfinite(face).sum() >= 2]
     plate = faces.plate

@@ -68,8 +68,10 @@ which they do. By hand. [s]"""
 
 # Timing
 
-MOMENT_S, MOMENT_ROWS, MOMENT_LIMIT_S = 0.1, 0.4, 1.0
-"""A moment found in the temperatures, for fit and diagnosis: at least, per row, at most. [s, rows, s] By hand."""
+MOMENT_S, MOMENT_ROWS = 0.1, 0.4
+"""A moment found in the temperatures, for fit and diagnosis: at least, and per row. [s, rows] By hand.
+
+Anywhere between two rows would be 0.29 of them; what triggers logger and press alike puts all runs at one end."""
 LIVE_MOMENT_S = 0.15
 """The same for the live sensor where scans are dense: about `moment_sd` at 10 Hz, and not made wider for slower
 ones, whose gaps it treats on their own. By hand, 2026-11. [s]"""
@@ -145,7 +147,7 @@ def moment_sd(period_s: float) -> float:
 
     Examples
     --------
-    >>> round(moment_sd(0.1), 3), round(moment_sd(1.0), 3)
-    (0.14, 0.5)
+    >>> round(moment_sd(0.1), 3), round(moment_sd(1.0), 3), round(moment_sd(10.0), 3)
+    (0.14, 0.5, 4.1)
     """
-    return min(MOMENT_S + MOMENT_ROWS * period_s, MOMENT_LIMIT_S)
+    return MOMENT_S + MOMENT_ROWS * period_s

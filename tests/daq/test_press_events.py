@@ -513,6 +513,16 @@ def test_a_logger_slower_than_the_scans_shows_the_same_events(slow):
     assert [e.monotonic_s for e in events] == pytest.approx(moments, abs=1.5)  # half of three seconds
 
 
+def test_a_moment_lies_between_the_scans_that_show_what_was_before_and_after_it_however_far_apart():
+    plan = Plan(rate_hz=2.0, press_time_s=(120.0, 180.0), open_before_s=(25.0, 40.0), closed_column=False)
+    for first, (run, truth) in enumerate(make_campaign(8, 6, None, plan)):
+        found = find_moments(run.at_rows(slice(3 * first, None, 20)), PRESS)
+        times = run.time_s[3 * first :: 20]
+        for name in ("closed_s", "opened_s"):
+            after = int(np.searchsorted(times, getattr(truth.moments, name)))
+            assert times[after - 1] - 0.5 <= getattr(found, name) <= times[after]
+
+
 def test_a_value_from_before_a_standstill_is_not_taken_for_one_of_now():
     detector = PressEventDetector(PRESS)
     for t in range(5):
