@@ -118,6 +118,10 @@ class NoSteadyState(InputError):
     """A stack whose steady temperatures before the first row do not exist, or cannot be found."""
 
 
+class StartNotRead(InputError):
+    """A start from first readings of which there is none."""
+
+
 class Quality(StrEnum):
     """What one value is worth, from the wire to the chart."""
 

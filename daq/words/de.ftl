@@ -808,7 +808,6 @@ unit-times-the-lower-contact = mal der untere
 
 ## softsensor.heat: the model and what a run must offer
 
-all-columns = alle Spalten
 boundary-column-missing = { $run }: die Spalte '{ $column }' fehlt; boundary.{ $end } braucht sie (die Pressung hat { $columns })
 boundary-empty = { $run }: die Spalte '{ $column }' enthält keinen Wert; boundary.{ $end } braucht sie
 boundary-gap = { $run }: die Spalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s von boundary.{ $end } werden überbrückt: die Laufdatei dort teilen
@@ -873,6 +872,7 @@ solve-no-temperatures = { $run }: diese Übergänge und Quellen führen zu keine
 solve-table-or-radiation = eine Stoffwerttabelle oder Strahlung
 solve-unknown-method = method = { $method }: muss 'implicit' oder 'exact' sein
 solve-value-out-of-range = { $name } = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
+start-layer-without-channel = { $run }: [initial] kind = "sensors" braucht eine Messung in der Schicht '{ $layer }', in der die Pressung keinen Kanal hat, den ein [[sensor]] der Pressendatei nennt: einen ergänzen oder kind = "steady" oder "uniform" angeben
 start-layer-without-reading = { $run }: [initial] kind = "sensors" braucht eine Messung in der Schicht '{ $layer }'; leer sind { $columns }: eine füllen oder kind = "steady" oder "uniform" angeben
 start-no-readings = { $run }: [initial] kind = "sensors" braucht eine Messung; alle Plattenkanäle sind leer
 start-not-steady = { $run }: { $why }; [initial] kind = "uniform" mit temperature_C oder "sensors" angeben oder Ränder und Kontakte berichtigen
@@ -1341,6 +1341,7 @@ reason-readings-contradict-the-model = die Fühler der Platte widersprechen dem 
 reason-run-begins-in-the-closed-press = die Aufzeichnung beginnt in der geschlossenen Presse
 reason-run-begins-with-the-panel-on-the-hot-plate = die Aufzeichnung beginnt mit der Platte auf der heißen Heizplatte
 reason-run-refused = der Pressung kann nicht gefolgt werden: { $problem }
+reason-start-not-read = Kern nicht bestimmbar: der Anfang kommt aus den ersten Messwerten, und es gibt noch keinen
 reason-start-temperature-contradicted = die Fühler zeigen { NUMBER($measured_C, maximumFractionDigits: 0) } °C, die Kopfdaten nennen { NUMBER($header_C, maximumFractionDigits: 0) } °C als Anfangstemperatur
 reason-start-temperature-too-high = die Kopfdaten nennen { NUMBER($header_C, maximumFractionDigits: 0) } °C als Anfangstemperatur; so heiß ist keine frische Platte
 reason-store-away = der Datenspeicher antwortet nicht

@@ -808,7 +808,6 @@ unit-times-the-lower-contact = times the lower one
 
 ## softsensor.heat: the model and what a run must offer
 
-all-columns = all columns
 boundary-column-missing = { $run }: column '{ $column }' is missing; boundary.{ $end } needs it (the run has { $columns })
 boundary-empty = { $run }: column '{ $column }' holds no value; boundary.{ $end } needs it
 boundary-gap = { $run }: column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of boundary.{ $end } are bridged: cut the run there
@@ -873,6 +872,7 @@ solve-no-temperatures = { $run }: these contacts and sources lead to no finite t
 solve-table-or-radiation = a property table or radiation
 solve-unknown-method = method = { $method }: must be 'implicit' or 'exact'
 solve-value-out-of-range = { $name } = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
+start-layer-without-channel = { $run }: [initial] kind = "sensors" needs a reading in layer '{ $layer }', where the run has no channel that a [[sensor]] of the press file names: add one, or give kind = "steady" or "uniform"
 start-layer-without-reading = { $run }: [initial] kind = "sensors" needs a reading in layer '{ $layer }'; { $columns } are empty: fill one, or give kind = "steady" or "uniform"
 start-no-readings = { $run }: [initial] kind = "sensors" needs a reading; all panel columns are empty
 start-not-steady = { $run }: { $why }; give [initial] kind = "uniform" with temperature_C, or "sensors", or correct the boundaries and contacts
@@ -1323,6 +1323,7 @@ reason-readings-contradict-the-model = the panel's sensors contradict the model
 reason-run-begins-in-the-closed-press = the run begins in the closed press
 reason-run-begins-with-the-panel-on-the-hot-plate = the run begins with the panel on the hot plate
 reason-run-refused = the run cannot be followed: { $problem }
+reason-start-not-read = core not observable: the start is taken from the first readings, and there is none yet
 reason-start-temperature-contradicted = sensors read { NUMBER($measured_C, maximumFractionDigits: 0) } °C, but the header gives a start temperature of { NUMBER($header_C, maximumFractionDigits: 0) } °C
 reason-start-temperature-too-high = the header gives a start temperature of { NUMBER($header_C, maximumFractionDigits: 0) } °C; no fresh panel is so hot
 reason-store-away = the store does not answer

@@ -23,7 +23,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq.press.press_file import At, BoundaryKind, InitialKind, Press
-from daq.records import Array, InputError, Panel, Run
+from daq.records import Array, Panel, Run, StartNotRead
 from daq.words import say
 from softsensor.effects import Terms
 from softsensor.effects.parameters import uniform_sd
@@ -166,7 +166,7 @@ def first_readings(case: Case, shifts: tuple[float, float] = (0.0, 0.0)) -> dict
         if case.layout.measured[end]:
             found[name] = [float(case.outside[0, end]) + shifts[end]]
     if not found:
-        raise InputError(say("start-no-readings", run=case.run.source or case.run.name))
+        raise StartNotRead(say("start-no-readings", run=case.run.source or case.run.name))
     return {place: float(np.mean(values)) for place, values in found.items()}
 
 

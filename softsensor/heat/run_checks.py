@@ -117,10 +117,9 @@ def check_first_readings(
     for layer in layers:
         inside = [c for c, place in place_of.items() if labels[place].startswith((f"{layer}.", f"{layer}@"))]
         if not any(np.isfinite(run.columns[column]).any() for column in inside):
-            empty = tuple(inside) or say("all-columns")
-            raise InputError(
-                say("start-layer-without-reading", run=run.source or run.name, layer=layer, columns=empty)
-            )
+            where = {"run": run.source or run.name, "layer": layer}
+            empty = say("start-layer-without-reading", **where, columns=tuple(inside))
+            raise InputError(empty if inside else say("start-layer-without-channel", **where))
 
 
 def load_series(run: Run, load: Load) -> Array | None:

@@ -34,7 +34,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.press.resin_file import Resin
 from daq.printed import in_notebook, on_screen
-from daq.records import PressState, Run
+from daq.records import PressState, Run, StartNotRead
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.blocks import ScanArrays
 from softsensor.live.consistency import Stillness
@@ -206,6 +206,9 @@ class LiveSensor:
         run.press.receive(time_s, None if current is None else current.chain.read)
         try:
             run.passes.advance(run.panels, run.scans, run.press, stale=bool(moments) or silenced or disagrees)
+        except StartNotRead:  # of this scan; the run begins with the next
+            self._run = None
+            return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.START_NOT_READ))
         except (ArithmeticError, np.linalg.LinAlgError):
             run.passes.drop()
             return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.CALCULATION_FAILED))

@@ -24,6 +24,8 @@ class InvalidReason(StrEnum):
     """The colder face, where it was first read, was not at the start temperature that the header gives."""
     START_TEMPERATURE_TOO_HIGH = "start temperature too high"
     """The header gives a start temperature that no fresh panel has."""
+    START_NOT_READ = "start not read"
+    """The press file has the run begin at its first readings, and there is none yet."""
     BEGINS_CLOSED = "run begins in the closed press"
     """The press had closed by the first scan that shows the platens: how long before, nobody knows."""
     BEGINS_ON_HOT_PLATE = "run begins with the panel on the hot plate"

@@ -300,6 +300,9 @@ def test_a_start_from_first_readings_needs_one_in_the_panel(lab_press, make_run,
         InputError, match=r"\[initial\] kind = \"sensors\" .* 'panel'; top_1, .* are empty: fill one"
     ):
         model.solve(model.prepare(run, moments), coefficients)
+    absent = replace(run, columns={name: run.columns[name] for name in ("platen_top", "platen_bottom")})
+    with pytest.raises(InputError, match=r"'panel', where the run has no channel that a \[\[sensor\]\]"):
+        model.solve(model.prepare(absent, moments), coefficients)
     run.columns["bottom_2"][:5] = 31.0
     start = model.solve(model.prepare(run, moments), coefficients).column("bottom_2")[0]
     assert start == pytest.approx(31.0, abs=0.5)

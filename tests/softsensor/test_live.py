@@ -441,3 +441,32 @@ def test_a_constant_whose_deviation_the_header_states_is_not_suspected_besides_u
     for nothing, left in ((0.5, ["heat_capacity_offset"]), (0.3, list(names))):
         missing = MissingCauses(8, nothing, 0.0, dict.fromkeys(names, off))
         assert suspected(replace(MODEL, missing=missing)) == left
+
+
+STARTS_BY_READINGS = """
+[[layer]]
+name = "panel"
+from_run = true
+[initial]
+kind = "sensors"
+[boundary.bottom]
+kind = "air"
+coefficient = "h"
+[coefficients.h]
+guess = 10.0
+lower = 1.0
+upper = 60.0
+[[sensor]]
+columns = ["back"]
+at = "panel.bottom"
+"""
+
+
+def test_a_start_from_first_readings_waits_until_there_is_one():
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "ambient.temperature_C": 20.0}
+    back = np.full(9, 20.0)
+    back[:4] = math.nan
+    run = Run("late", {**header, "panel.initial_temperature_C": 20.0}, np.arange(9.0), {"back": back})
+    told = replay(run, None, press=parse_press(STARTS_BY_READINGS))
+    assert [e.reason for e in told] == [InvalidReason.START_NOT_READ] * 4 + [None] * 5
+    assert told[-1].core_C == pytest.approx(20.0, abs=0.5)
