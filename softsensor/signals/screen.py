@@ -11,7 +11,7 @@ channels but for one run, where a swapped channel and a loose one fell alike and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
@@ -24,7 +24,14 @@ from daq.words import Message, say
 from softsensor.effects.vocabulary import place_words
 from softsensor.signals.instrument import BEFORE_SWITCH_S, CHANNEL_GAIN, LAG_GONE_S, LOGGER_STEP_K
 from softsensor.signals.robust import Flags, nan_median
-from softsensor.signals.spikes import without_far_cells, without_jumps, without_single_cells
+from softsensor.signals.spikes import (
+    SPIKE_K,
+    SPIKE_RATIO,
+    SPIKE_WINDOW,
+    without_far_cells,
+    without_jumps,
+    without_single_cells,
+)
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -133,7 +140,7 @@ def _with_cells(run: Run, faces: Mapping[str, Sequence[str]], of: Callable[[Arra
 
 
 def faulty_channels(press: Press, run: Run, moments: Moments) -> tuple[ChannelFault, ...]:
-    """Return a run's channels that read something else than their face, where it has three or more."""
+    """Return a run's channels that read something else than their face, or that came off where there are two."""
     rows = quiet_rows(run.time_s, moments)
     kept, faults = faces_of(press, run)[0], []
     values = {c: run.columns[c][rows] for columns in kept.values() for c in columns}
@@ -141,7 +148,31 @@ def faulty_channels(press: Press, run: Run, moments: Moments) -> tuple[ChannelFa
         face, fault = worst
         kept[face].remove(fault.column)
         faults.append(fault)
+    faults += _came_off(kept, values)
     return tuple(sorted(faults, key=lambda fault: fault.column))
+
+
+def _came_off(kept: Mapping[str, Sequence[str]], values: Mapping[str, Array]) -> Iterator[ChannelFault]:
+    """Yield the channel of a pair that jumps away from the other between two scans, for good.
+
+    No middle says which of two is right, but no face jumps while the press stands still: where one does and the
+    other does not, that one came off.
+    """
+    for columns in kept.values():
+        if len(columns) != LEAST_CHANNELS - 1:
+            continue
+        pair = np.stack([values[c] for c in columns], axis=1)
+        pair = pair[np.isfinite(pair).all(axis=1)]
+        apart, steps = pair[:, 0] - pair[:, 1], np.abs(np.diff(pair, axis=0))
+        jumps = np.abs(np.diff(apart))
+        if len(jumps) < 2 * SPIKE_WINDOW:
+            continue
+        at = int(np.argmax(jumps[SPIKE_WINDOW - 1 : 1 - SPIKE_WINDOW])) + SPIKE_WINDOW
+        limit = max(SPIKE_K, SPIKE_RATIO * float(np.median(jumps)))
+        moved = np.median(apart[at : at + SPIKE_WINDOW]) - np.median(apart[at - SPIKE_WINDOW : at])
+        one = int(np.argmax(steps[at - 1]))
+        if abs(moved) > limit and steps[at - 1, 1 - one] < limit < steps[at - 1, one]:
+            yield ChannelFault(columns[one], FaultKind.LOOSE, _rms(departure(pair[:, one], pair[:, 1 - one])))
 
 
 def recurring(faults: Sequence[tuple[ChannelFault, ...]]) -> dict[str, FaultKind]:

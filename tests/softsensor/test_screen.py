@@ -110,6 +110,20 @@ def test_fit_and_diagnosis_hear_the_same_channels_of_a_face_that_is_read_more_se
     assert ("panel.bottom" in heard) == (every == 8)
 
 
+@pytest.mark.parametrize("fallen_K", [25.0, -40.0])
+def test_of_two_channels_the_one_that_jumps_for_good_came_off(measured, fallen_K):
+    names = ("platen_top", "platen_bottom", "top_1", "top_2", "bottom_1", "bottom_2")
+    pair = replace(measured, columns={name: measured.columns[name].copy() for name in names})
+    assert found(pair) == {}
+    moments = moments_of(measured, PRESS)
+    late = measured.time_s > 0.5 * (moments.closed_s + moments.opened_s)
+    off = np.where(late, fallen_K, 0.0)
+    assert found(spoiled(pair, top_2=pair.columns["top_2"] - off)) == {"top_2": FaultKind.LOOSE}
+    once = np.where(np.arange(len(late)) == np.flatnonzero(late)[0], fallen_K, 0.0)
+    assert found(spoiled(pair, top_2=pair.columns["top_2"] - once)) == {}
+    assert found(spoiled(pair, top_1=pair.columns["top_1"] - off, top_2=pair.columns["top_2"] - off)) == {}
+
+
 def test_normal_values_have_their_standard_deviation_by_their_median_too_and_wild_ones_do_not_count():
     values = 0.3 * np.random.default_rng(5).normal(size=(2, 20_001))
     values[:, :100], values[0, 100:200] = 1e6, np.nan
