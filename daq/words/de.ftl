@@ -1578,7 +1578,7 @@ report-bold-excludes = Fett: das 95-%-Intervall schließt „keine Änderung“ 
 report-candidates = Alle Kandidaten
 report-cause = Ursache
 report-causes-alike = Diese Pressungen können die Ursachen nicht unterscheiden. Was es könnte:
-report-chance = Wahrscheinlichkeit, dass es Zufall ist
+report-chance = Wahrscheinlichkeit, dass Zufall allein so viel ergäbe
 report-change = Änderung des Koeffizienten
 report-coefficient = Koeffizient
 report-coefficients = { $runs ->
@@ -1724,7 +1724,7 @@ report-why = Warum
 report-why-and-remedy = warum, und welche Messung hilft
 report-with-guesses-kelvin = mit Schätzwerten [K]
 report-worst-run = Die am schlechtesten passende Pressung
-report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben, und { $worth }. Die Wahrscheinlichkeit, dass das Zufall ist, aus dem Vertauschen der Vorzeichen ganzer Pressungen oder der Likelihood ausgelassener Pressungen: { $sureness }
+report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben, und { $worth }. Die Wahrscheinlichkeit, dass Zufall allein so viel ergäbe, aus dem Vertauschen der Vorzeichen ganzer Pressungen oder der Likelihood ausgelassener Pressungen: { $sureness }
 
 ## api: when to open
 
@@ -2618,7 +2618,7 @@ page-gain-left-out = weniger Fehler in ausgelassenen Pressungen, eigene Kontakte
 page-gain-predicted = weniger Fehler in vorhergesagten Pressungen
 page-heldout = ausgelassen, eigene Kontakte angepasst, quadratisches Mittel aller Pressungen
 page-heldout-gain = Gewinn auf ausgelassenen Pressungen
-page-luck = Wahrscheinlichkeit, dass es Zufall ist
+page-luck = Wahrscheinlichkeit, dass Zufall allein so viel ergäbe
 page-measured-there = Dort gemessen
 page-model-rejected = abgelehnt
 page-models = Modellversionen

@@ -1567,7 +1567,7 @@ report-bold-excludes = Bold: the 95 % interval excludes no change.
 report-candidates = All candidates
 report-cause = cause
 report-causes-alike = These runs cannot distinguish the causes. What can:
-report-chance = chance that it is luck
+report-chance = chance that luck alone would do as well
 report-change = change of the coefficient
 report-coefficient = coefficient
 report-coefficients = { $runs ->
@@ -1713,7 +1713,7 @@ report-why = Why
 report-why-and-remedy = why, and which measurement fixes it
 report-with-guesses-kelvin = with guesses [K]
 report-worst-run = The run with the worst fit
-report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common and { $worth }. The chance that this is luck, by flipping signs of whole runs or by the likelihood of runs left out: { $sureness }
+report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common and { $worth }. The chance that luck alone would do as well, by flipping signs of whole runs or by the likelihood of runs left out: { $sureness }
 
 ## api: when to open
 
@@ -2604,7 +2604,7 @@ page-gain-left-out = less error in runs left out, their own contacts fitted
 page-gain-predicted = less error in predicted runs
 page-heldout = left out, own contacts fitted, root mean square of all runs
 page-heldout-gain = gain on runs left out
-page-luck = chance that it is luck
+page-luck = chance that luck alone would do as well
 page-measured-there = Measured there
 page-model-rejected = rejected
 page-models = Model versions
