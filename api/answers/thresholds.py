@@ -7,15 +7,13 @@ from datetime import datetime
 
 from api.answers.channels import channel_role
 from api.answers.drift import drift_of
-from api.answers.present import present_of
+from api.answers.present import SILENT_S, present_of
 from api.answers.schemas import AlarmLimits
 from daq.records import Scan
 from daq.store.records import StandingAlarm
 from daq.store.store import Store
 from daq.words import Message, say
 
-FRESH_S = 10.0
-"""A reading older than this says nothing of the press now; that it is old is another alarm. [s]"""
 UNKNOWN = ("unknown_effect", "not_described")
 """Verdicts of a diagnosis that leaves something unexplained."""
 
@@ -37,7 +35,7 @@ def _crossed(store: Store, press: str, limits: AlarmLimits, now: datetime) -> It
         age_s = (now - scan.utc).total_seconds()
         if limits.silence_s is not None and age_s > limits.silence_s:
             yield _of("silence", press, say("alarm-silence", press=press, limit=limits.silence_s))
-        if age_s <= FRESH_S:
+        if age_s <= SILENT_S:  # what is older says nothing of now, which is another alarm
             yield from _core(store, press, limits, now)
             yield from _platens(press, tuple(c.name for c in batch.channels), scan, limits)
     yield from _drifts(store, press, limits)
