@@ -25,8 +25,9 @@ from softsensor.effects import find_effect
 from softsensor.effects.effect import LawOf
 from softsensor.effects.vocabulary import called, coefficient_words, place_words
 
-FAR_OFF = 2.0
-"""Times the noise from which a residual is called more than noise, whatever its cause. Set by hand, 2026-11."""
+LEFT_OUT_EXCESS = 2.0
+"""Times the noise from which what causes leave of runs left out is called more than noise. That of the runs as
+fitted has `EXCESS`; here what a run shares with no other counts besides. Set by hand, 2026-11."""
 MOVES, MOVES_SD = 0.05, 2.0
 """A coefficient moves by this logarithm (5 %) and so many standard deviations at least. By hand, 2026-11."""
 SLOPE_S = 5.0
@@ -79,9 +80,8 @@ def verdict_messages(found: Diagnosis) -> tuple[Message, ...]:
 def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
     runs = len(found.stages[0].data)
     residual = {"rmse": found.base.rmse_K, "noise": found.noise_floor_K}
-    times = found.base.rmse_K / found.noise_floor_K if found.noise_floor_K > 0 else np.inf
     if found.verdict is Verdict.TOO_FEW_RUNS:
-        off = times > FAR_OFF
+        off = found.left.times_noise > EXCESS
         return (say("verdict-few-runs-off", runs=runs, **residual) if off else say("verdict-few-runs", runs=runs),)
     if found.verdict is Verdict.NOT_DESCRIBED:
         return (say("verdict-not-described", **residual),)
@@ -125,7 +125,7 @@ def _fall(found: Diagnosis, causes: int) -> tuple[Message, ...]:
     if before - after < HARDLY * before:
         return (say("gain-hardly", causes=causes, before=before, after=after),)
     falls = say("gain-residual-falls", causes=causes, before=before, after=after)
-    if after > FAR_OFF * found.noise_floor_K:
+    if after > LEFT_OUT_EXCESS * found.noise_floor_K:
         return falls, say("gain-more-is-missing", noise=found.noise_floor_K)
     return (falls,)
 

@@ -878,6 +878,9 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     assert sentences(verdict_messages(off)).startswith("No verdict is possible: the model is ")
     doubted = replace(found, suspected=diagnosed("edge_loss", 501, 7, 0.5).findings)
     assert sentences(verdict_messages(doubted)).endswith("Suspected, not proven: heat lost at the rim.")
+    for times, code in ((1.01 * EXCESS, "verdict-few-runs-off"), (0.99 * EXCESS, "verdict-few-runs")):
+        few = replace(found, verdict=Verdict.TOO_FEW_RUNS, remains=(replace(found.left, times_noise=times),))
+        assert [message.code for message in verdict_messages(few)] == [code]
 
 
 def test_an_effect_in_half_of_the_runs_is_said_to_be_in_those() -> None:
