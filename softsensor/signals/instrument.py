@@ -60,8 +60,10 @@ per row. [K, K, s, K]
 By hand, 2026-11. A fit and the live sensor start from `FACE_SLOW_K`; why the diagnosis starts lower is not
 recorded. It scales all three together, to what a campaign leaves."""
 ROUNDING_K2 = 3e-4
-"""Variance that no number of channels averages out: rounding to 0.06 K (width/√12)². Only the live sensor adds it
-to `CHANNEL_WHITE_K`; a fit estimates its white noise from the readings, rounding within. [K²]"""
+"""Variance that no number of channels averages out: a rounding of 0.06 K (width/√12)². The live sensor alone adds
+it to `CHANNEL_WHITE_K`; a fit estimates its white noise from the readings, rounding within. [K²]
+
+By hand, 2026-11: `LOGGER_STEP_K` would make it 8e-4; why it is less is not recorded."""
 CHANNEL_FAST_S, CHANNEL_FAST_LIMITS_S = 10.0, (3.0, 40.0)
 """How fast a channel forgets its own faster noise: where a run's readings do not show it, and the limits within
 which they do. By hand. [s]"""
