@@ -7,7 +7,9 @@ anywhere below is another folder, two versions side by side do not meet, and an 
 again, wherever it is installed. It lies under ``NUMBA_CACHE_DIR`` or the user's cache folder; where neither can be
 written, each process compiles for itself. A file is one signature on one kind of processor, with its checksum:
 what is damaged is compiled anew. A process that outlives an update, a notebook say, may hold modules of the text
-of before beside new ones: where a text below has changed since it began to import, nothing is kept or taken.
+of before beside new ones: where a text below has changed since it began to import, nothing is kept or taken. And
+one that has set a module's number to another value than its text gives it keeps code of its own: what a function
+takes from around it is part of its file's name.
 
 Each function is machine code of its own, which those that call it only refer to. Numba would build the code of all
 that is called, directly or through others, into every caller and optimise it there once more: of a first start of
@@ -29,11 +31,13 @@ from collections.abc import Callable
 from functools import cache
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any, NamedTuple, NoReturn
 
 import llvmlite
 import llvmlite.binding
 import numba
+import numpy as np
 from numba import njit
 from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
@@ -90,7 +94,8 @@ class _Kept:
         self._name = f"{function.__name__}-{function.__code__.co_firstlineno}"
 
     def _path(self, key: object) -> Path:
-        return Path(self.cache_path, f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}")
+        text = repr((key, _around(self._function), numba.config.BOUNDSCHECK))
+        return Path(self.cache_path, f"{self._name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}")
 
     def place_of(self, signature: Any, context: Any) -> Path:
         """Return the file of a signature on this processor."""
@@ -140,6 +145,36 @@ class _Kept:
         _CODE[result.fndesc.llvm_func_name] = _Code(of.__module__, of.__qualname__, signature)
         # what Numba would link into a caller: nothing, since the caller declares what it calls by itself
         result.library._shared_module = llvmlite.binding.parse_assembly("")  # noqa: SLF001
+
+
+def _around(function: Callable[..., Any]) -> list[tuple[str, str]]:
+    """Return what a function takes from its module and others of this project, as Numba would build it in now."""
+    names = sorted(_names_in(function.__code__))
+    found = {name: function.__globals__[name] for name in names if name in function.__globals__}
+    modules = [one for one in found.values() if isinstance(one, ModuleType)]
+    ours = [one for one in modules if one.__name__.partition(".")[0] in _PACKAGES]
+    found |= {f"{one.__name__}.{name}": getattr(one, name) for one in ours for name in names if hasattr(one, name)}
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    found |= {f"{name} around": cell.cell_contents for name, cell in cells}
+    return [(name, _mark(value)) for name, value in found.items()]
+
+
+def _names_in(code: CodeType) -> set[str]:
+    """Return the names in bytecode, that of what is written within it too."""
+    inner = (one for one in code.co_consts if isinstance(one, CodeType))
+    return set(code.co_names).union(*map(_names_in, inner))
+
+
+def _mark(value: Any) -> str:
+    """Return by what a value is known again: a number by itself, a function or a class by where it stands."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, tuple):
+        return f"{type(value).__qualname__} {[_mark(one) for one in value]}"
+    named = getattr(value, "py_func", value)
+    if hasattr(named, "__qualname__"):
+        return f"{named.__module__} {named.__qualname__}"
+    return value.__name__ if isinstance(value, ModuleType) else repr(value)
 
 
 class _Code(NamedTuple):

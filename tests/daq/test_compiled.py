@@ -77,6 +77,19 @@ def test_a_changed_constant_two_imports_below_is_seen_and_the_text_of_before_fin
     assert answer(moved) == (5.0, 0)
 
 
+@pytest.mark.parametrize("changed", ["lower.SHARE = 5.0", "constants.SHARE = 5.0", "upper.half = lower.all_of"])
+def test_what_a_process_changed_around_a_function_is_kept_for_nobody_else(tree, changed):
+    change(tree, "softsensor/lower.py", "return SHARE", "return constants.SHARE / 0.5 * SHARE")
+    with (tree / "softsensor/lower.py").open("a", encoding="utf-8") as text:
+        text.write("\n\n@compiled()\ndef all_of(x):\n    return x\n")
+    changing = f"from softsensor import constants, lower, upper\n{changed}\n"
+    other, _ = answer(tree, call=changing + CALL)
+    assert other in (9.0, 41.0)
+    assert answer(tree)[0] == 5.0
+    assert answer(tree) == (5.0, 0)
+    assert answer(tree, call=changing + CALL) == (other, 0)
+
+
 def test_a_process_that_outlives_an_update_keeps_nothing_of_a_mixture_of_texts(tree):
     update = (
         "import softsensor.constants, pathlib\npath = pathlib.Path('softsensor/constants.py')\n"
