@@ -67,7 +67,7 @@ export const stateOf = (now, stale) => (stale ? "unknown" : now.state);
 export const startingOf = (health) => (health.processes.some(({ alive, state }) => alive && state === "starting") ? text("page-sensor-starting") : "");
 
 // What is wrong for a press: an alarm that names it or, shorter in a tile, one that names none; not another press's.
-export function wrongOf({ alarms, alarms_said: said }, press, { tile = false } = {}) {
+function wrongOf({ alarms, alarms_said: said }, press, { tile = false } = {}) {
   const i = said.findIndex((one) => (one.arguments?.press ?? press) === press);
   return i < 0 ? "" : tile && !said[i].arguments?.press ? text("page-health-degraded") : inWords(said[i], alarms[i]);
 }
