@@ -30,6 +30,9 @@ from softsensor.signals.unknown import Unknown
 STUCK = 3.0
 """A run whose misfit is so many times the usual or the noise's may sit in a side valley. By hand, 2026-11."""
 
+LARGEST_OWN_STEP = 1.2
+"""Of each of a run's own numbers in one step of a search: a contact by a factor of 3.3, a moment by as many
+seconds. By hand, 2026-11."""
 MOST_OWN = 5.0
 """Standard deviations that a panel's own constant lies off at most; one in two million panels lies further off.
 Where a model is far off they would go anywhere (26 in moist pine). Derived."""
@@ -361,7 +364,7 @@ def _step(
     for run, (q, triangle) in zip(runs, factors, strict=True):
         target = q.T @ (run.residual - run.shared_jacobian @ step)
         own.append(solve_triangular(triangle, target)[: len(run.eta)])
-    return step, [np.clip(s, -1.2, 1.2) for s in own]
+    return step, [np.clip(s, -LARGEST_OWN_STEP, LARGEST_OWN_STEP) for s in own]
 
 
 def bounded_step(normal: Array, right: Array, theta: Array, lower: Array, upper: Array, limit: Array) -> Array:
@@ -432,7 +435,8 @@ def fit_run_to(layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Ar
     state = evaluate(layout, run, data, theta, eta)
     for _ in range(rounds):
         q, upper = np.linalg.qr(state.jacobian)
-        step = np.clip(solve_triangular(upper, q.T @ state.residual)[: len(state.eta)], -1.2, 1.2)
+        step = solve_triangular(upper, q.T @ state.residual)[: len(state.eta)]
+        step = np.clip(step, -LARGEST_OWN_STEP, LARGEST_OWN_STEP)
         new = evaluate(layout, run, data, theta, _within(layout.unknowns[run], state.eta + step))
         if new.cost >= state.cost - 0.02:
             return new if new.cost < state.cost else state

@@ -664,7 +664,8 @@ def delay(h, y, dy, tau, dtau):
             x = h[step] / tau
             e = np.exp(-x)
             r = (1.0 - e) / x if x > 1e-8 else 1.0 - 0.5 * x
-            dr = (e * (1.0 + x) - 1.0) / (x * x) if x > 1e-4 else -0.5 + x / 3.0
+            series = -0.5 + x / 3.0  # of dr near 0, by definition
+            dr = (e * (1.0 + x) - 1.0) / (x * x) if x > 1e-4 else series
             now = y[step + 1, a]
             old = y[step, a]
             y[step + 1, a] = old * e + before * (r - e) + now * (1.0 - r)

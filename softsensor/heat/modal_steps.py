@@ -57,8 +57,8 @@ def _hold(lam, h, keep, old, new):
             phi1 = (1.0 - e) / x
             phi2 = (1.0 - phi1) / x
         else:
-            phi1 = 1.0 - x / 2.0 * (1.0 - x / 3.0 * (1.0 - x / 4.0))
-            phi2 = 0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0))
+            phi1 = 1.0 - x / 2.0 * (1.0 - x / 3.0 * (1.0 - x / 4.0))  # their series, by definition
+            phi2 = 0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0))  # by definition
         keep[j] = e
         old[j] = h * (phi1 - phi2)
         new[j] = h * phi2

@@ -501,13 +501,13 @@ def _surface(stack, d_flux, co, m, h, dh):
     if sigma > 0.0:
         for _ in range(100):
             rest = g * (t - x) + h[outer] * (around - x) + sigma * (around**4 - x**4) + flux[0]
-            move = rest / (g + h[outer] + 4.0 * sigma * x**3)
+            move = rest / (g + h[outer] + 4.0 * sigma * x**3)  # the slope of x⁴, by definition
             x = max(x + move, 1.0)
             if abs(move) < 1e-12 * x:
                 break
     else:
         x = (g * t + h[outer] * around + flux[0]) / (g + h[outer])
-    slope, bend = 4.0 * sigma * x**3, 12.0 * sigma * x**2
+    slope, bend = 4.0 * sigma * x**3, 12.0 * sigma * x**2  # of x⁴, by definition
     a = h[outer] + slope
     power = flux[0] + sigma * (around**4 - x**4) + slope * (x - around)
     share = g / (a + g)

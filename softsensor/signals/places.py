@@ -163,7 +163,7 @@ def _without_gain(deviation: Array, mean: Array) -> Array:
 def _white_level(values: Array) -> float:
     second = np.diff(values, n=2, axis=0)
     second = second[np.isfinite(second)]
-    return float(robust_sd(second)) / np.sqrt(6.0) if len(second) else CHANNEL_WHITE_K
+    return float(robust_sd(second)) / np.sqrt(1.0 + 2.0**2 + 1.0) if len(second) else CHANNEL_WHITE_K
 
 
 def _whiten(
