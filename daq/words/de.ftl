@@ -1605,7 +1605,7 @@ report-diagnosis-basis = Presse „{ $press }“, { $runs } { $runs ->
        *[other] Pressungen
     }
 report-diagnosis-of = { $verdict } – Presse { $press }
-report-error-core = Fehler des Kerns der Platten, wie ihre Köpfe sie angeben, gegen Kernfühler
+report-error-core = Abweichung des Kerns an Kernfühlern, Platten nach ihren Kopfdaten
 report-error-core-predicted = Abweichung an Kernfühlern, Pressungen vorhergesagt
 report-every-run = Jede Pressung für sich
 report-every-run-joint = Jede Pressung mit dem, was sie von den anderen übernimmt

@@ -1594,7 +1594,7 @@ report-diagnosis-basis = Press “{ $press }”, { $runs } { $runs ->
        *[other] runs
     }
 report-diagnosis-of = { $verdict } – press { $press }
-report-error-core = error of the core, of panels as their headers give them, against core thermocouples
+report-error-core = error of the core at core thermocouples, panels as their headers give them
 report-error-core-predicted = error at core thermocouples, runs predicted
 report-every-run = Every run by itself
 report-every-run-joint = Every run with what it borrows from the others
