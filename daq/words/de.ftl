@@ -1110,6 +1110,7 @@ phase-before-closing = vor dem Schließen
 phase-closed = geschlossen
 phase-since-run-began = seit Beginn der Pressung
 verdict-alike = Diese Pressungen können folgende Ursachen nicht unterscheiden: { $causes }.
+verdict-cores-off = Das einfache Modell erklärt die Seiten dieser { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, doch ihre Kernfühler liegen { NUMBER($core, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, in allen Pressungen gleich: es fehlt etwas, das die Seiten nicht zeigen.
 verdict-differs-from-run-to-run = Diese { $runs } Pressungen haben keine Ursache gemeinsam, und doch liegt das einfache Modell { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen: was fehlt, ist von Pressung zu Pressung verschieden.
 verdict-faulty-channels = Lose, gedriftet oder vertauscht und weggelassen: { $columns }.
 verdict-few-runs = { $runs } { $runs ->

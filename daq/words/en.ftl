@@ -1101,6 +1101,7 @@ phase-before-closing = before closing
 phase-closed = closed
 phase-since-run-began = since the run began
 verdict-alike = These runs cannot distinguish the following causes: { $causes }.
+verdict-cores-off = The plain model explains the faces of these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet their core thermocouples are { NUMBER($core, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off it, alike in all runs: something is missing that the faces do not show.
 verdict-differs-from-run-to-run = No cause is common to these { $runs } runs, yet the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: what is missing differs from run to run.
 verdict-faulty-channels = Loose, drifting or swapped, and left out: { $columns }.
 verdict-few-runs = { $runs } { $runs ->

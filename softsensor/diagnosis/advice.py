@@ -38,6 +38,8 @@ class AdviceBasis:
     extended_core_K: float | None = None  # noqa: N815
     apart: int = 0
     """How many runs are not explained to their noise, where the others are."""
+    cores_agree: bool = True
+    """Core thermocouples do not show an error that the faces hide."""
 
     def words(self, of_panels: Message, of_rig: Message) -> Message:
         """Return which of two sentences fits: a rig of layers has no panel and no core."""
@@ -77,6 +79,8 @@ def _where_something_is_unknown(basis: AdviceBasis, suspected: Sequence[Finding]
         return find_effect(suspected[0].name).confirm
     if basis.apart:
         return say("next-those-runs", more=max(FEW_RUNS - basis.apart, 0), least=FEW_RUNS)
+    if not basis.cores_agree:
+        return say("next-constants", kelvin=basis.core_K or 0.0)
     return basis.words(say("next-look-there"), say("next-look-there-rig"))
 
 

@@ -317,6 +317,8 @@ class Remains:
     """The middle of the panels that it needs is as near to those given as panels are."""
     panels_alike: bool = True
     """It needs panels to differ among themselves no more than panels of one product do."""
+    cores_agree: bool = True
+    """Core thermocouples do not show an error that the faces hide."""
 
 
 @dataclass(frozen=True)
@@ -363,7 +365,7 @@ def conclude(case: VerdictBasis) -> Conclusion:
     if few:
         return Conclusion(Verdict.TOO_FEW_RUNS)
     noise = left.times_noise <= EXCESS and not left.off
-    nothing = not (case.suspected or case.proofs) and noise and left.panels_as_given
+    nothing = not (case.suspected or case.proofs) and noise and left.panels_as_given and left.cores_agree
     return Conclusion(Verdict.NO_EFFECT if nothing else Verdict.UNKNOWN_EFFECT)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
+from softsensor.diagnosis.decision import ALPHA_PATTERN
 from softsensor.diagnosis.extension import RunState, SharedFit
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import CLOCK_ERROR_S
@@ -251,6 +252,21 @@ def place_noise(digest: Digest) -> float:
     rows = (digest.run.time_s >= digest.time[0]) & (digest.run.time_s <= digest.time[-1])
     values = [place_scatter(digest.run, c, rows) ** 2 for c in digest.channels.values() if len(c) > 1]
     return float(np.sqrt(np.mean(values))) if values else 0.0
+
+
+def sure_core_error_K(stage: SettledModel) -> float:  # noqa: N802 - kelvin
+    """Return by how much core thermocouples surely lie off a model alike in all runs, 0 where chance may. [K]
+
+    Of each run the mean over its time; what is beyond Student's interval over runs, as sure as a pattern of the
+    faces must be, is no panel's own doing.
+    """
+    pairs = zip(stage.data, stage.fit.runs, strict=True)
+    means = np.array([np.mean(np.concatenate(found)) for d, r in pairs if (found := _core_errors(d.digest, r))])
+    if len(means) < 2:
+        return 0.0
+    quantile = student(len(means) - 1, 1.0 - ALPHA_PATTERN / 2.0)
+    half = quantile * float(np.std(means, ddof=1) / np.sqrt(len(means)))
+    return max(abs(float(np.mean(means))) - half, 0.0)
 
 
 def _core_errors(digest: Digest, run: RunState) -> list[Array]:

@@ -94,7 +94,7 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
         if not found.where:
             return (say("verdict-left", who=who),)
         return (say("verdict-left-at", who=who, stretch=stretch_message(found.where[0])),)
-    return (say(_without_a_pattern(found.left), runs=runs, **residual),)
+    return (say(_without_a_pattern(found.left), runs=runs, core=found.base.core_rmse_K or 0.0, **residual),)
 
 
 def _without_a_pattern(left: Remains) -> str:
@@ -103,7 +103,9 @@ def _without_a_pattern(left: Remains) -> str:
         return "verdict-panels-differ"
     if left.times_noise > EXCESS or left.off:
         return "verdict-differs-from-run-to-run"
-    return "verdict-something-beyond-chance" if left.panels_as_given else "verdict-panels-not-as-given"
+    if not left.panels_as_given:
+        return "verdict-panels-not-as-given"
+    return "verdict-something-beyond-chance" if left.cores_agree else "verdict-cores-off"
 
 
 def _cause_messages(found: Diagnosis) -> tuple[Message, ...]:

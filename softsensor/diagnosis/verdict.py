@@ -58,6 +58,7 @@ from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
 from softsensor.diagnosis.advice import (
+    CORE_OFF_K,
     AdviceBasis,
     next_measurement,
     notes,
@@ -86,7 +87,7 @@ from softsensor.diagnosis.decision import (
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.laws.choice import free_law
-from softsensor.diagnosis.numbers import Errors, Interval, is_described, noise_floor, short
+from softsensor.diagnosis.numbers import Errors, Interval, is_described, noise_floor, short, sure_core_error_K
 from softsensor.diagnosis.selection import Progress, Round, cool_rim, search_all
 from softsensor.diagnosis.settling import SettledModel, panels_as_usual, settle_base, with_whole_panels
 from softsensor.diagnosis.sign_flips import PatternTest, pattern_test
@@ -211,7 +212,9 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     to_confirm = () if something_left(left, len(runs)) else suspected
     base, extended = errors[0], errors[named]
     cores = (base.core_rmse_K, extended.core_rmse_K)
-    advice_basis = AdviceBasis(len(runs), bool(press.panel_layers), *cores, apart=len(left.off))
+    advice_basis = AdviceBasis(
+        len(runs), bool(press.panel_layers), *cores, apart=len(left.off), cores_agree=left.cores_agree
+    )
     return Diagnosis(
         verdict=conclusion.verdict,
         findings=findings,
@@ -251,6 +254,7 @@ def _remains(stage: SettledModel, test: PatternTest, explained: float, errors: E
         off=beyond_noise(errors.weighed / noise_K),
         panels_as_given=middle > ALPHA_PATTERN / 2,
         panels_alike=differ > ALPHA_PATTERN / 2,
+        cores_agree=sure_core_error_K(stage) <= CORE_OFF_K,
     )
 
 

@@ -197,6 +197,7 @@ VERDICTS = (
     ("no pattern, but 1.6 K over 0.44 K of noise", remains(times_noise=1.6 / 0.44), Verdict.UNKNOWN_EFFECT, 0),
     ("no pattern, six tenths more than noise", remains(times_noise=1.6), Verdict.UNKNOWN_EFFECT, 0),
     ("no pattern, hardly more than noise", remains(times_noise=1.4), Verdict.NO_EFFECT, 0),
+    ("faces that fit, and cores off alike in all runs", remains(cores_agree=False), Verdict.UNKNOWN_EFFECT, 0),
     ("no pattern, hardly more than noise in all runs together, but more in some than in the others",
      remains(times_noise=1.4, off=(1, 3)), Verdict.UNKNOWN_EFFECT, 0),
     ("six runs, 1.6 K over 0.44 K", replace(remains(times_noise=3.6), runs=6), Verdict.UNKNOWN_EFFECT, 0),

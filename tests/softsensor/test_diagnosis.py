@@ -56,6 +56,7 @@ from softsensor.diagnosis.numbers import (
     measure_errors,
     noise_floor,
     residual_K,
+    sure_core_error_K,
 )
 from softsensor.diagnosis.run_scores import run_scores
 from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candidate, search, switch_scores
@@ -1101,3 +1102,26 @@ def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
     assert not [c for c, text in english.items() if "{" not in text and f">{text}<" in shown]
     assert not re.search(r"\bnamed\b", shown)  # the verdict's code, which is for machines
     assert re.search(r"erweitert \d,\d\d K", page)
+
+
+@pytest.mark.parametrize(
+    ("means_K", "sure_K"),
+    [
+        (
+            [-15.0, -17.0, -13.0, -15.0],
+            15.0 - 4.1765 * np.sqrt(8.0 / 3.0) / 2.0,
+        ),  # t of 3 degrees at 97.5 % two-sided
+        ([3.6, -1.2, -1.8, 2.7, -0.6], 0.0),
+        ([9.0], 0.0),
+        ([], 0.0),
+    ],
+)
+def test_cores_are_surely_off_where_all_runs_share_it_and_not_where_panels_scatter(means_K, sure_K):
+    silent = SimpleNamespace(digest=SimpleNamespace(cores={}))
+    read = [SimpleNamespace(digest=SimpleNamespace(cores={"core_1": np.array([50.0, np.nan, 60.0])}))]
+    runs = [SimpleNamespace(validation={"core_1": np.array([50.0, 0.0, 60.0]) - mean}) for mean in means_K]
+    stage = SimpleNamespace(
+        data=[*read * len(means_K), silent],
+        fit=SimpleNamespace(runs=[*runs, SimpleNamespace(validation={})]),
+    )
+    assert sure_core_error_K(stage) == pytest.approx(sure_K, abs=1e-3)
