@@ -1178,7 +1178,10 @@ law-changes = Über den Bereich, den die Pressungen durchliefen, { $change ->
         [falls] fällt
        *[rises] steigt
     } er zwischen { NUMBER($begin, maximumSignificantDigits: 3) } und { NUMBER($end, maximumSignificantDigits: 3) } um { NUMBER($percent, maximumFractionDigits: 0) } %.
-law-core = Beim Öffnen der Presse ist der Kern dadurch { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+law-core = { $at ->
+        [opening] Beim Öffnen der Presse
+       *[end] Am Ende einer Pressung
+    } ist der Kern dadurch { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
         [hotter] heißer
        *[cooler] kühler
     }.

@@ -1160,7 +1160,10 @@ law-changes = Over the range that the runs cover it { $change ->
         [falls] falls
        *[rises] rises
     } by { NUMBER($percent, maximumFractionDigits: 0) } % between { NUMBER($begin, maximumSignificantDigits: 3) } and { NUMBER($end, maximumSignificantDigits: 3) }.
-law-core = When the press opens, it has made the core { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+law-core = { $at ->
+        [opening] When the press opens
+       *[end] At the end of a run
+    }, it has made the core { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
         [hotter] hotter
        *[cooler] cooler
     }.

@@ -160,7 +160,7 @@ def law_messages(found: Diagnosis) -> tuple[Message, ...]:
     known = (say("law-resembles", cause=called(law.resembles)),) if law.resembles else ()
     kelvin = core_cost(found.final, law.stage).kelvin
     changes = (_law_changes(x, value),) if law.unit == "-" else _heat_gone(law)
-    return (law_found, *changes, say("law-core", **_shift(kelvin)), *alike, *known)
+    return (law_found, *changes, say("law-core", at=_moment(_opens(law.stage)), **_shift(kelvin)), *alike, *known)
 
 
 def _law_changes(x: Array, value: Array) -> Message:

@@ -374,6 +374,13 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     assert {"en": "1 (at 0; 95 %: 0.8 to 1.1)", "de": "1 (bei 0; 95 %: 0,8 bis 1,1)"}[language] in lines[0]
     assert len(lines) == 4
     assert {"en": "falls by 50 % between 0 and 30", "de": "zwischen 0 und 30 um 50 %"}[language] in lines[1]
+    digests = [white.digest for white in one.stage.data]
+    never = [replace(d, moments=replace(d.moments, opened_s=np.nan)) for d in digests]
+    data = [replace(white, digest=d) for white, d in zip(one.stage.data, never, strict=True)]
+    unopened = SimpleNamespace(**vars(found) | {"law": replace(one, stage=replace(one.stage, data=data))})
+    ends = [words(m, language) for m in law_messages(cast(Diagnosis, unopened))]
+    assert lines[2].startswith({"en": "When the press opens", "de": "Beim Öffnen der Presse"}[language])
+    assert ends[2].startswith({"en": "At the end of a run", "de": "Am Ende einer Pressung"}[language])
     content = one.as_json()
     assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
     assert all(len(row) == 4 for row in content["curve"])
