@@ -76,9 +76,13 @@ class RehearsalResult:
         return json.dumps(self.rehearsal.as_json())
 
     def __repr__(self) -> str:
-        """Show how many campaigns find each cause, and name a wrong one."""
+        """Show how many campaigns of how many find each cause, and name a wrong one."""
         table = self._table()
-        above = table.to_string(index=False, max_rows=14, justify="left") if len(table) else ""
+        for column, rates in zip(table.columns[2:], ("found", "alone", "wrong"), strict=True):
+            counts = [getattr(row, rates) for row in self.rehearsal.rows]
+            table[column] = [f"{rate.count}/{rate.of}" for rate in counts]
+        table[table.columns[0]] = [row.hidden.name for row in self.rehearsal.rows]
+        above = table.to_string(index=False, max_rows=14) if len(table) else ""
         return printed([[line] for line in self._lines()], above=above)
 
     def _repr_html_(self) -> str:

@@ -39,6 +39,7 @@ from daq.words import say
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.laws.choice import Law
 from softsensor.diagnosis.summary import core_messages, law_messages
+from softsensor.effects import catalogue
 from softsensor.effects.effect import LawOf
 from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
@@ -50,6 +51,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
 SAMPLES = sorted((ROOT / "deploy/samples").glob("2026-*.csv"))
 SHORT = SAMPLES[6]
+CAUSES = tuple(catalogue())
 HELD = {"thickness_mm": 16, "platen_temperature_C": 200, "start_temperature_C": 20, "waiting_s": 20}
 PRESS_TIME = {name: (value, value) for name, value in HELD.items()} | {"press_time_s": (30, 60)}
 """Ranges of a plan in which nothing but the press time may change."""
@@ -695,6 +697,18 @@ def test_a_rehearsal_tells_shares_with_their_intervals_and_keeps_what_is_finishe
     done = []
     again = softsensor.rehearse(results["diagnose"], **asked, progress=lambda what, share: done.append(share))
     assert (again.to_json(), done) == (found.to_json(), [])
+
+
+def test_a_rehearsal_of_every_cause_prints_on_one_screen_in_both_languages(results):
+    (row,), rate = results["rehearse"].rehearsal.rows, softsensor.Rate(10, 10)
+    hidden = [row.hidden, *(softsensor.Hidden(name) for name in CAUSES)]
+    rows = tuple(softsensor.RehearsedCause(one, rate, rate, rate) for one in hidden)
+    whole = softsensor.RehearsalResult(replace(results["rehearse"].rehearsal, rows=rows, lost=2))
+    for language in ("de", "en"):
+        daq.speak(language)
+        lines = repr(whole).splitlines()
+        assert len(lines) <= ROWS
+        assert max(map(len, lines)) <= COLUMNS
 
 
 def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
