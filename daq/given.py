@@ -53,6 +53,8 @@ def speak(language: str) -> None:
     int: eine Presse wird mit dem Pfad einer Pressendatei angegeben oder als das, was read_press gab
     >>> daq.speak("en")
     """
+    if not isinstance(language, str):
+        raise refused(language, "given-no-names")
     if language not in languages():
         raise InputError(say("given-no-language", language=str(language), languages=languages()))
     choose(language)

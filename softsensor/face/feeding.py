@@ -117,7 +117,8 @@ class LiveSensor(ScanSensor):
         quality = values.get(QUALITY)
         faults = (faults_of(quality) if isinstance(quality, str) else None) or {}
         read = dict.fromkeys(self._platens, math.nan)
-        for name, value in values.items():
+        for label, value in values.items():
+            name = str(label)  # as a table's labels become texts in a run
             if not isinstance(value, str) or matches(name, self._of_numbers):
                 read[name] = _reading(name, value) if is_usable(faults, name) else math.nan
         return read

@@ -356,6 +356,30 @@ def test_a_live_sensor_fed_by_hand_refuses_what_no_run_file_holds(column, value,
         live.update(0.0, {**daq.frame_of(run).iloc[0].to_dict(), column: value})
 
 
+@pytest.mark.parametrize("given", [[], {}, pd.DataFrame(), pd.Series([1.0]), 5])
+@pytest.mark.parametrize(
+    "ask",
+    [
+        softsensor.find_effect,
+        daq.speak,
+        lambda given: softsensor.fit(SHORT, LAB, method=given),
+        lambda given: softsensor.advise(LAB, softsensor.ModelFile("m", "lab", {}), goal=given),
+    ],
+)
+def test_what_is_no_name_is_refused_in_one_line_of_words(ask, given):
+    with pytest.raises(daq.InputError, match=r"^\S+: names are given as one text or several$"):
+        ask(given)
+
+
+def test_a_live_sensor_takes_columns_whose_labels_are_no_texts_as_a_table_does():
+    table = daq.frame_of(softsensor.read_run(SHORT)).assign(**{"7": 1.0}).rename(columns={"7": 7})
+    live, run = softsensor.LiveSensor(LAB, table.attrs), softsensor.read_run(table)
+    assert "7" in run.columns
+    for time_s, row in table.iloc[:20].iterrows():
+        newest = live.update(time_s, row)
+    assert newest.core_C == softsensor.predict(run, LAB).frame()["core_C"].iloc[19]
+
+
 def test_a_whole_number_beyond_all_floats_is_refused_in_words():
     with pytest.raises(daq.InputError, match=r"panel\.thickness_mm = 1000"):
         softsensor.read_run(SHORT, header={"panel.thickness_mm": 10**400})
