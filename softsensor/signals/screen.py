@@ -148,31 +148,54 @@ def faulty_channels(press: Press, run: Run, moments: Moments) -> tuple[ChannelFa
         face, fault = worst
         kept[face].remove(fault.column)
         faults.append(fault)
-    faults += _came_off(kept, values)
+    faults += _came_off(kept, values, run.time_s[rows], moments)
     return tuple(sorted(faults, key=lambda fault: fault.column))
 
 
-def _came_off(kept: Mapping[str, Sequence[str]], values: Mapping[str, Array]) -> Iterator[ChannelFault]:
+def _came_off(
+    kept: Mapping[str, Sequence[str]], values: Mapping[str, Array], time_s: Array, moments: Moments
+) -> Iterator[ChannelFault]:
     """Yield the channel of a pair that jumps away from the other between two scans, for good.
 
     No middle says which of two is right, but no face jumps while the press stands still: where one does and the
-    other does not, that one came off.
+    other, which has followed the panel, does not, that one came off. At a moment of the press a sound one jumps
+    away from one that reads nothing of the panel.
     """
     for columns in kept.values():
         if len(columns) != LEAST_CHANNELS - 1:
             continue
         pair = np.stack([values[c] for c in columns], axis=1)
-        pair = pair[np.isfinite(pair).all(axis=1)]
-        apart, steps = pair[:, 0] - pair[:, 1], np.abs(np.diff(pair, axis=0))
-        jumps = np.abs(np.diff(apart))
-        if len(jumps) < 2 * SPIKE_WINDOW:
-            continue
-        at = int(np.argmax(jumps[SPIKE_WINDOW - 1 : 1 - SPIKE_WINDOW])) + SPIKE_WINDOW
-        limit = max(SPIKE_K, SPIKE_RATIO * float(np.median(jumps)))
-        moved = np.median(apart[at : at + SPIKE_WINDOW]) - np.median(apart[at - SPIKE_WINDOW : at])
-        one = int(np.argmax(steps[at - 1]))
-        if abs(moved) > limit and steps[at - 1, 1 - one] < limit < steps[at - 1, one]:
-            yield ChannelFault(columns[one], FaultKind.LOOSE, _rms(departure(pair[:, one], pair[:, 1 - one])))
+        read = np.isfinite(pair).all(axis=1)
+        times, pair = time_s[read], pair[read]
+        for rows in _without_a_moment(times, moments):
+            one = _jumps_away(pair[rows])
+            if one is not None and np.ptp(pair[:, 1 - one]) > SPIKE_K:
+                departs = departure(pair[:, one], pair[:, 1 - one])
+                yield ChannelFault(columns[one], FaultKind.LOOSE, _rms(departs))
+                break
+
+
+def _without_a_moment(times: Array, moments: Moments) -> list[Array]:
+    """Return the rows between two moments of the press, apart where more than one scan is missing between them."""
+    moved = np.array([moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s])
+    steps = np.diff(times)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    gaps = np.flatnonzero(steps > 2.0 * usual) + 1
+    ends = np.union1d(np.searchsorted(times, moved[np.isfinite(moved)]), gaps)
+    return np.split(np.arange(len(times)), ends)
+
+
+def _jumps_away(pair: Array) -> int | None:
+    """Return which of two channels jumps away from the other for good (rows, 2); None where none does."""
+    apart, steps = pair[:, 0] - pair[:, 1], np.abs(np.diff(pair, axis=0))
+    jumps = np.abs(np.diff(apart))
+    if len(jumps) < 2 * SPIKE_WINDOW:
+        return None
+    at = int(np.argmax(jumps[SPIKE_WINDOW - 1 : 1 - SPIKE_WINDOW])) + SPIKE_WINDOW
+    limit = max(SPIKE_K, SPIKE_RATIO * float(np.median(jumps)))
+    moved = np.median(apart[at : at + SPIKE_WINDOW]) - np.median(apart[at - SPIKE_WINDOW : at])
+    one = int(np.argmax(steps[at - 1]))
+    return one if abs(moved) > limit and steps[at - 1, 1 - one] < limit < steps[at - 1, one] else None
 
 
 def recurring(faults: Sequence[tuple[ChannelFault, ...]]) -> dict[str, FaultKind]:

@@ -124,6 +124,22 @@ def test_of_two_channels_the_one_that_jumps_for_good_came_off(measured, fallen_K
     assert found(spoiled(pair, top_1=pair.columns["top_1"] - off, top_2=pair.columns["top_2"] - off)) == {}
 
 
+@pytest.mark.parametrize("column", ["top_2", "bottom_2"])
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_sound_channel_that_jumps_with_its_panel_is_not_loose_beside_one_that_reads_the_room(
+    measured, column, every
+):
+    """Which of the two is right nobody knows, and it is not the one that stays."""
+    names = ("platen_top", "platen_bottom", "top_1", "top_2", "bottom_1", "bottom_2")
+    noise = 0.1 * np.random.default_rng(6).normal(size=len(measured.time_s))
+    off = replace(measured, columns={name: measured.columns[name] for name in names} | {column: 21.0 + noise})
+    moments = moments_of(measured, PRESS)
+    slow = off.at_rows(slice(0, None, every))
+    assert [f.column for f in screened(PRESS, slow, moments).faults] == []
+    silent = (off.time_s > moments.closed_s + 3.0) & (off.time_s < moments.closed_s + 25.0)
+    assert [f.column for f in screened(PRESS, off.at_rows(~silent), moments).faults] == []
+
+
 def test_normal_values_have_their_standard_deviation_by_their_median_too_and_wild_ones_do_not_count():
     values = 0.3 * np.random.default_rng(5).normal(size=(2, 20_001))
     values[:, :100], values[0, 100:200] = 1e6, np.nan
