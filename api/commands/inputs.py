@@ -136,14 +136,17 @@ def files_read(*given: Path | str | None, store: str | None, config: Path | None
 def load_runs(arguments: list[str], press: Press, store: str | None, config: Path | None) -> list[Run]:
     """Read every run, from its file or from the store. Raises `InputError` naming the first that fails.
 
-    A column of words is an error where the press takes numbers from it.
+    A column of words is an error where the press takes numbers from it, and so is a panel that nothing describes.
     """
     from daq.files.legible import check_each_once, kelvin_doubt, legible
+    from daq.press.header import panel_of
 
     runs = []
     with working(say("terminal-progress-reading-runs", runs=len(arguments)), len(arguments)) as done:
         for number, argument in enumerate(arguments, start=1):
             runs.append(legible(find_run(argument, store, config), press))
+            if press.panel_layers:
+                panel_of(runs[-1])
             done(number)
     check_each_once(runs)
     say_doubts(run.header for run in runs)

@@ -173,6 +173,16 @@ def test_no_cell_of_a_written_table_is_a_formula_to_a_spreadsheet():
     assert table.splitlines() == ["'=cmd.top,reason", '1.0,"\'+1, or so"', ",steady"]
 
 
+def test_a_panel_that_nothing_describes_is_one_line(files, first, tmp_path, capsys):
+    text = Path(first).read_text().replace('panel.material = "MDF"', 'panel.material = "unobtainium"')
+    run = tmp_path / "run.csv"
+    run.write_text(re.sub(r"# panel\.(conductivity|heat).*\n", "", text))
+    assert (
+        main(["simulate", str(run), "--press", str(files / "press.toml"), "--out", str(tmp_path / "out.csv")]) == 2
+    )
+    assert "panel.conductivity_W_mK is missing and material 'unobtainium' is not in the table" in one_line(capsys)
+
+
 def test_an_unknown_coefficient_is_named_and_nothing_is_written(files, first, tmp_path, capsys):
     given, out = tmp_path / "given.json", tmp_path / "out.csv"
     given.write_text('{"h_x": 5}')
@@ -626,8 +636,11 @@ def test_a_terminal_sees_that_many_runs_are_being_read(tmp_path):
     import pty
 
     time_s = np.arange(3.0)
+    panel = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "panel.initial_temperature_C": 20.0}
     for number in range(3):
-        write_run(Run(f"r{number}", {}, time_s, {"top_1": time_s + number}, "", {}), tmp_path / f"r{number}.csv")
+        write_run(
+            Run(f"r{number}", panel, time_s, {"top_1": time_s + number}, "", {}), tmp_path / f"r{number}.csv"
+        )
     slow = f"""
 import time, daq, api.commands.inputs as inputs
 from daq.press.press_file import read_press
