@@ -13,7 +13,7 @@ REMARK_OF_MODULE = re.compile(
     "(?:Numbers|Thresholds) without another source were set by hand|numbers (?:below )?were set by hand"
 )
 SOURCE = re.compile(
-    r"\b(?:CODATA|Handbook|Simpson|EN \d{3,5}(?:-\d)?|"
+    r"\b(?:CODATA|Handbook|Metron|Simpson|EN \d{3,5}(?:-\d)?|"
     r"ISO|IEC|IAPWS|NIST|NAMEDATALEN|doi|et al|TR-BDF2|by definition|half[- ]space|seeds?|"
     r"default)\b"
 )

@@ -43,6 +43,8 @@ class Plan:
     open_before_s: tuple[float, float] = (5.0, 30.0)
     open_after_s: tuple[float, float] = (30.0, 120.0)
     platen_C: tuple[float, float] = (180.0, 210.0)
+    pressure_N_cm2: Sequence[float] = (280.0, 300.0, 320.0, 340.0, 360.0, 380.0, 400.0)
+    """To draw from, run by run."""
     start_before_s: float | None = None
     """First row this long before the insertion; 0 is at the insertion."""
     closed_column: bool | None = None
@@ -295,7 +297,7 @@ def _draw_pressing(press: _CampaignPress, rng: np.random.Generator) -> tuple[Pre
         closing_ramp=float(rng.uniform(0.2, 1.0)),
         opening_ramp=float(rng.uniform(0.2, 0.5)),
         coefficients=values,
-        pressure=float(rng.choice([280.0, 300.0, 320.0, 340.0, 360.0, 380.0, 400.0])),
+        pressure=float(rng.choice(plan.pressure_N_cm2)),
         vapour_law="uniform" if plan.other_laws else "proportional",
         drying_law=plan.drying_law or ("kinetic" if plan.other_laws else "equilibrium"),
     )

@@ -14,7 +14,7 @@ from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval, intervals, intervals_of_models, short
 from softsensor.diagnosis.search import Candidate, extend
 from softsensor.diagnosis.selection import Round
-from softsensor.diagnosis.settling import SettledModel, run_errors
+from softsensor.diagnosis.settling import SettledModel, gain_of, run_errors
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, pattern_test, pockets
 from softsensor.effects import find_effect, platen_offset, sensor_fault
 from softsensor.signals.screen import LEAST_CHANNELS, ChannelFault
@@ -64,7 +64,7 @@ def findings_of(
                 set=names,
                 parameters=intervals_of_models(models, cause.effect),
                 p_value=short(round_.p_values[cause.effect.name]),
-                gain=cause.held or paired_gain(without.heldout, with_it.heldout),
+                gain=cause.held or gain_of(final.data, without.left_out, with_it.left_out),
                 predicted=paired_gain(without.predicted, with_it.predicted),
                 explained_share=short(max(more - share, 0.0)),
                 against=tuple(against[:3]),
@@ -119,14 +119,15 @@ def nearly_named(
     if not beside or (c := rounds[-1].suspected) is None:
         return ()
     ahead = [predicted(f, stage.data, from_the_others(f, stage.data)) for f in (stage.fit, c.fit)]
+    plain, with_it = (run_errors(stage.data, states) for states in ahead)
     return (
         Finding(
             name=c.effect.name,
-            set=(c.effect.name,),
+            set=(c.effect.name, *_lone_channels(c.effect.name, stage)),
             parameters=intervals(beside[0].fit, c.effect),
             p_value=short(rounds[-1].p_values[c.effect.name]),
             gain=c.heldout_gain(stage),
-            predicted=paired_gain(*(run_errors(stage.data, states) for states in ahead)),
+            predicted=paired_gain(plain, with_it),
             explained_share=_explained_by(c, stage),
             saves=c.saves,
             contest=_contest(stage, (c,), (c.effect.name,)),

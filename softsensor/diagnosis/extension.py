@@ -33,6 +33,8 @@ STUCK = 3.0
 LARGEST_OWN_STEP = 1.2
 """Of each of a run's own numbers in one step of a search: a contact by a factor of 3.3, a moment by as many
 seconds. By hand, 2026-11."""
+ROUNDS = 12
+"""Of Gauss and Newton, by which a fit that begins far off has converged. By hand, 2026-11."""
 MOST_OWN = 5.0
 """Standard deviations that a panel's own constant lies off at most; one in two million panels lies further off.
 Where a model is far off they would go anywhere (26 in moist pine). Derived."""
@@ -261,7 +263,7 @@ def fit_campaign_model(
     data: Sequence[Whitened],
     etas: Sequence[Array] | None = None,
     *,
-    rounds: int = 12,
+    rounds: int = ROUNDS,
     tolerance: float = 0.3,
 ) -> SharedFit:
     """Minimise the cost over everything. `etas` are starts; steps that do not help are halved."""

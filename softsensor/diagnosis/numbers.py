@@ -13,7 +13,7 @@ from softsensor.diagnosis.decision import ALPHA_PATTERN
 from softsensor.diagnosis.extension import RunState, SharedFit
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import CLOCK_ERROR_S
-from softsensor.diagnosis.settling import START_NOISE, SettledModel
+from softsensor.diagnosis.settling import START_NOISE, LeftOut, SettledModel
 from softsensor.effects import Effect, Need
 from softsensor.effects.parameters import QUARTILE
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
@@ -68,6 +68,8 @@ class Errors:
     """`heldout_rmse_K` by run."""
     predicted: Array
     """`predicted_rmse_K` by run."""
+    left_out: LeftOut
+    """What `heldout` is of."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's table."""
@@ -131,7 +133,7 @@ def _widened(interval: Interval, others: Sequence[Interval]) -> Interval:
     )
 
 
-def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Sequence[RunState]) -> Errors:
+def measure_errors(stage: SettledModel, others: LeftOut, ahead: Sequence[RunState]) -> Errors:
     """Return errors of a stage: of the fit, of each run by numbers from the others, and of its prediction.
 
     A channel's error is made of what its place's mean is off and its own scatter about that mean; both
@@ -142,7 +144,7 @@ def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Seque
     table = []
     cores: list[Array] = []
     cores_ahead: list[Array] = []
-    for run, other, pure, white in zip(stage.fit.runs, others, ahead, stage.data, strict=True):
+    for run, other, pure, white in zip(stage.fit.runs, others.runs, ahead, stage.data, strict=True):
         d = white.digest
         own = _squares(d, run.misfit + run.offsets[: len(d.signals)])
         weighed = _squares(d, d.trust * run.misfit)[0]
@@ -163,6 +165,7 @@ def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Seque
         weighed=np.sqrt(weighed + scatter),
         heldout=np.sqrt(held + scatter),
         predicted=np.sqrt(pure_ + scatter),
+        left_out=others,
     )
 
 

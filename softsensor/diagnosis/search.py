@@ -11,7 +11,7 @@ Its numbers were set by hand in 2026-11, while campaigns of the virtual press we
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,16 +20,17 @@ from daq.printed import on_screen
 from daq.records import Array
 from softsensor.diagnosis.directions import Direction, direction
 from softsensor.diagnosis.extension import (
+    ROUNDS,
     RunState,
     SharedFit,
     fit_campaign_model,
-    from_the_others,
     held_out,
     unstuck,
 )
 from softsensor.diagnosis.extension_unknowns import is_shape, lay_out
-from softsensor.diagnosis.gains import Gain, paired_gain
-from softsensor.diagnosis.settling import SettledModel, finer, run_errors, scatter, whiten_all
+from softsensor.diagnosis.gains import Gain
+from softsensor.diagnosis.held import SWITCHED, between_runs, held_gain, loads, made_up_for, varies
+from softsensor.diagnosis.settling import LeftOut, SettledModel, finer, gain_of, scatter, whiten_all
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import OPENING_RAMP, TIMINGS
@@ -42,12 +43,9 @@ FRESH_SIZES = (1.3, -1.0)
 """Effects of the measuring chain are also tried from these sizes, in typical ones."""
 FAR_OFF = 1.15
 """Cost per reading above which every candidate is fitted, whatever its secant promises."""
-SWITCHED = ("closed_s", "opened_s")
 CLOCK_ERROR_S = 0.04
 """What no campaign can separate from a clock: skew within a scan, and where in its ramp a switch trips. By hand,
 2026-11. [s]"""
-HELD_S = 0.005
-"""A moment known so well is held. [s]"""
 NEAR = 0.35
 """Candidates below this share of the best gain after the first rounds are dropped."""
 HOPELESS = 9.0
@@ -89,6 +87,7 @@ class Candidate:
     def among(self, stage: SettledModel, runs: np.ndarray) -> Candidate:
         """Return what some of the runs say for it."""
         saved = sum(stage.fit.runs[r].cost - self.fit.runs[r].cost for r in runs)
+        saved += len(runs) * _narrower(stage.fit, self.fit)
         others = tuple(self.others[r] for r in runs) if self.others else ()
         fit = replace(self.fit, runs=tuple(self.fit.runs[r] for r in runs))
         return replace(
@@ -122,7 +121,7 @@ class Candidate:
         """Return what it saves on runs left out."""
         if self.held or not self.others:
             return self.held or Gain(0.0, None)
-        return paired_gain(run_errors(stage.data, stage.fit.runs), run_errors(stage.data, self.others))
+        return gain_of(stage.data, LeftOut.of(stage.fit.runs), LeftOut.of(self.others))
 
 
 def size_in(fit: SharedFit, effect: Effect) -> float:
@@ -176,12 +175,6 @@ def candidates_for(stage: SettledModel) -> list[Effect]:
     return found
 
 
-def varies(loads: Sequence[Mapping[int, Array]]) -> bool:
-    """Whether pressures (by contact, in each step) differ enough that something could follow them."""
-    values = [v for load in loads for series in load.values() if len(series) for v in (series.min(), series.max())]
-    return bool(values) and max(values) > 1.05 * min(values)
-
-
 def search(stage: SettledModel, effects: Iterable[Effect], progress: Progress | None = None) -> list[Candidate]:
     """Fit every candidate on top of a stage; best first."""
     probes = []
@@ -190,7 +183,8 @@ def search(stage: SettledModel, effects: Iterable[Effect], progress: Progress | 
         if progress is not None:
             progress(effect.name)
         size, secant = best_secant(stage, effect)
-        if secant.gain < HOPELESS and misfit < FAR_OFF and not effect.measuring:
+        hopeless = secant.gain < HOPELESS and misfit < FAR_OFF
+        if hopeless and not effect.measuring and not between_runs(effect, stage.data):
             fit = stage.fit
             zeros = np.zeros(len(stage.data))
             probes.append(Candidate(effect, secant, fit, 0.0, zeros, refined=False, score=secant.scores))
@@ -235,10 +229,30 @@ def probe(stage: SettledModel, effect: Effect, size: float, secant: Direction, r
     ]
     fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
     if effect.needs == Need.SWITCH or (effect.measuring and stage.misfit > FAR_OFF):
-        fit = min([fit, *_fresh_fits(stage, model, effect, rounds + 1)], key=lambda f: f.cost)
-    gain = max(stage.fit.cost - fit.cost, 0.0)
+        rounds = ROUNDS if effect.needs == Need.SWITCH else rounds + 1
+        fit = min([fit, *_fresh_fits(stage, model, effect, rounds)], key=lambda f: f.cost)
+    if between_runs(effect, stage.data):
+        fit = _with_its_scatter(stage, fit)
     score = switch_scores(stage) if effect.needs == Need.SWITCH else secant.scores
-    return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=score)
+    zeros = np.zeros(len(stage.data))
+    return Candidate(effect, secant, fit, _saved(stage.fit, fit), zeros, refined=False, score=score)
+
+
+def _with_its_scatter(stage: SettledModel, fit: SharedFit) -> SharedFit:
+    """Fit again with the scatter of coefficients that a cause leaves: it may be all that they differ by."""
+    layout = lay_out(fit.layout.model, [d.digest for d in stage.data], scatter(fit), fit.values)
+    return fit_campaign_model(layout, stage.data, [r.eta for r in fit.runs], rounds=4, tolerance=1.0)
+
+
+def _narrower(before: SharedFit, after: SharedFit) -> float:
+    """Return what less scatter of the coefficients adds to each run's likelihood, as a sum of squares."""
+    pairs = zip(before.layout.unknowns[0], after.layout.unknowns[0], strict=False)
+    return float(sum(2.0 * np.log(b.sd / a.sd) for b, a in pairs if b.shared))
+
+
+def _saved(before: SharedFit, after: SharedFit) -> float:
+    """Return the sum of squares that a model saves over another, not less than nothing."""
+    return max(before.cost - after.cost + len(before.runs) * _narrower(before, after), 0.0)
 
 
 def _from_guesses(stage: SettledModel, candidate: Candidate) -> Candidate:
@@ -254,7 +268,7 @@ def _from_guesses(stage: SettledModel, candidate: Candidate) -> Candidate:
     fit = fit_campaign_model(layout, stage.data, rounds=6, tolerance=1.0)
     if fit.cost >= candidate.fit.cost:
         return candidate
-    return replace(candidate, fit=fit, gain=max(stage.fit.cost - fit.cost, 0.0))
+    return replace(candidate, fit=fit, gain=_saved(stage.fit, fit))
 
 
 def _kept_sizes(stage: SettledModel) -> dict[str, float]:
@@ -277,22 +291,40 @@ def switch_scores(stage: SettledModel) -> Array:
     return np.asarray(scores, dtype=float)
 
 
+def load_scores(stage: SettledModel) -> Array:
+    """Return how far each run's contacts lie off where its pressure does, in standard deviations (runs).
+
+    Contacts fitted to each run make up for its pressure completely, so nothing of it is left in the temperatures.
+    The products of both deviations have the correlation as their mean; Fisher's transformation makes a normal
+    number of it, which is not bounded by how many runs there are (Fisher, Metron 1, 3, 1921).
+    """
+    scores, count = np.zeros(len(stage.data)), len(stage.data)
+    by_run = [loads(d.digest) for d in stage.data]
+    for name in set.intersection(*(set(of_run) for of_run in by_run)) if count > 3 else ():
+        contact = [estimate for ((_, estimate),) in stage.fit.own((name,))]
+        both = _standard(contact) * _standard([of_run[name] for of_run in by_run])
+        r = float(np.clip(both.mean(), 1.0 / count - 1.0, 1.0 - 1.0 / count))
+        scores += both * (np.arctanh(r) / r if r else 1.0) * (1.0 - 3.0 / count) ** 0.5  # Fisher, Metron 1921
+    return scores
+
+
+def _standard(values: Sequence[float]) -> Array:
+    off = np.array(values) - np.mean(values)
+    return np.asarray(off / max(float(np.std(off)), np.finfo(float).tiny))
+
+
 def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[SharedFit]:
     """Fit from full sizes with the moments back at their priors.
 
     What the measuring chain does to a switch, the plain fit has made up for with moments and contacts;
-    from there the way back is uphill at first.
+    from there the way back is uphill at first. A clock's fit goes on until it has converged: broken off after four
+    rounds it had saved nothing of the 300 that it saves in the end (12 runs, a clock 0.7 s late).
     """
     digests = [d.digest for d in stage.data]
-    for size in FRESH_SIZES:
-        if size < 0 and all(p.lower >= p.neutral for p in effect.parameters):
-            continue
+    for sizes in _fresh_sizes(stage, effect):
         start = dict(stage.fit.values)
         for p in effect.parameters:
-            value = p.neutral + size * (p.typical - p.neutral)
-            start[effect.key(p.name)] = float(np.clip(value, p.lower, p.upper))
-        if effect.needs == Need.SWITCH:
-            start |= {effect.key(p.name): _behind_the_switch(stage) for p in effect.parameters}
+            start[effect.key(p.name)] = float(np.clip(sizes[p.name], p.lower, p.upper))
         layout = lay_out(model, digests, stage.population, start)
         etas = []
         for unknowns, run in zip(layout.unknowns, stage.fit.runs, strict=True):
@@ -301,6 +333,16 @@ def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds
             eta[timing] = [unknowns[j].centre for j in timing]
             etas.append(eta)
         yield fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+
+
+def _fresh_sizes(stage: SettledModel, effect: Effect) -> Iterator[dict[str, float]]:
+    """Yield the parameters to begin from: of a clock what its moments lie behind the switch."""
+    if effect.needs == Need.SWITCH:
+        yield {p.name: _behind_the_switch(stage) for p in effect.parameters}
+        return
+    for size in FRESH_SIZES:
+        if size > 0 or any(p.lower < p.neutral for p in effect.parameters):
+            yield {p.name: p.neutral + size * (p.typical - p.neutral) for p in effect.parameters}
 
 
 def _behind_the_switch(stage: SettledModel) -> float:
@@ -327,41 +369,27 @@ def refine(stage: SettledModel, candidate: Candidate, rounds: int = 8) -> Candid
     fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=0.5)
     others = held_out(fit, stage.data, rounds=1)
     gains = np.array([a.cost - b.cost for a, b in zip(stage.fit.runs, others, strict=True)])
+    gains += _narrower(stage.fit, fit)
     values = {key: fit.values[key] for key in layout.effect_names}
     if candidate.effect.needs == Need.SWITCH:
         score = switch_scores(stage)
+    elif between_runs(candidate.effect, stage.data):
+        score = load_scores(stage)
     else:
         score = direction(stage.fit, stage.data, layout.model, values).scores
-    saved = max(stage.fit.cost - fit.cost, 0.0)
     held = None
-    if made_up_for(candidate.effect):
-        held = paired_gain(*(held_errors(f, stage.data, candidate.effect) for f in (stage.fit, fit)))
+    if made_up_for(candidate.effect, stage.data):
+        held = held_gain(stage, fit, candidate.effect)
     return replace(
-        candidate, fit=fit, gain=saved, gains=gains, refined=True, others=tuple(others), held=held, score=score
+        candidate,
+        fit=fit,
+        gain=_saved(stage.fit, fit),
+        gains=gains,
+        refined=True,
+        others=tuple(others),
+        held=held,
+        score=score,
     )
-
-
-def made_up_for(effect: Effect) -> bool:
-    """Whether a run's own numbers can do the same: its moments for a clock, its panel's constants for theirs."""
-    return effect.needs == Need.SWITCH or bool(effect.of_constant)
-
-
-def held_errors(fit: SharedFit, data: Sequence[Whitened], effect: Effect) -> Array:
-    """Return the errors of runs left out, what makes up for an effect held (runs). [K]
-
-    Moments are held at the limit switch, and steep ones count whole; a panel's constants at those given.
-    """
-    thetas = from_the_others(fit, data)
-    if effect.needs != Need.SWITCH:
-        given = [d.as_given for d in data]
-        return run_errors(given, held_out(fit, given, rounds=3, thetas=thetas))
-    unknowns = tuple(
-        tuple(replace(u, sd=HELD_S) if u.name in SWITCHED and d.digest.switch is not None else u for u in of_run)
-        for of_run, d in zip(fit.layout.unknowns, data, strict=True)
-    )
-    held = replace(fit, layout=replace(fit.layout, unknowns=unknowns))
-    runs = held_out(held, data, rounds=3, thetas=thetas)
-    return np.array([float(np.sqrt(np.nanmean(r.misfit**2))) for r in runs])
 
 
 def _sizes(effect: Effect) -> tuple[float, ...]:

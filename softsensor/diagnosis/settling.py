@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from daq.printed import on_screen
 from daq.records import Array
+from softsensor.diagnosis.decision import FEW_RUNS
 from softsensor.diagnosis.extension import RunState, SharedFit, fit_campaign_model, own_constants, unstuck
 from softsensor.diagnosis.extension_unknowns import eta_of, lay_out, panel_shares, run_values
+from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import Pocket, pockets
 from softsensor.fitting.one_run import first_values, make_problem
 from softsensor.heat.model import PANEL_SHARES, ThermalModel
@@ -70,10 +73,51 @@ class SettledModel:
         return replace(self, fit=fit, data=tuple(self.data[r] for r in runs))
 
 
-def run_errors(data: Sequence[Whitened], runs: Sequence[RunState]) -> Array:
-    """Return the root mean square of the places' misfit, steep moments counting less (runs). [K]"""
-    squares = [np.nanmean((r.misfit * d.digest.trust) ** 2) for d, r in zip(data, runs, strict=True)]
-    return np.sqrt(np.array(squares))
+@dataclass(frozen=True)
+class LeftOut:
+    """Runs by numbers that they took no part in."""
+
+    runs: Sequence[RunState]
+    """By models that they did not choose either: where the others would not have chosen a cause, without it."""
+    by_model: Sequence[RunState]
+    """By the model itself, whoever chose it: what a cause could take from a run."""
+
+    __repr__ = on_screen
+
+    @staticmethod
+    def of(runs: Sequence[RunState]) -> LeftOut:
+        """Take runs of a model that nobody has chosen yet."""
+        return LeftOut(runs, runs)
+
+
+def run_errors(data: Sequence[Whitened], runs: Sequence[RunState], *, whole: bool = False) -> Array:
+    """Return the root mean square of the places' misfit (runs). [K]
+
+    Steep moments count less, or as the others (`whole`).
+    """
+    weights = [1.0 if whole else d.digest.trust for d in data]
+    squares = [np.nanmean((r.misfit * w) ** 2) for w, r in zip(weights, runs, strict=True)]
+    return np.asarray(np.sqrt(np.array(squares)))
+
+
+def gain_of(data: Sequence[Whitened], before: LeftOut, after: LeftOut, *, whole: bool = False) -> Gain:
+    """Return what the places' misfit of the same runs falls by from one model to another.
+
+    In units of the noise, as the fit weighs it: slow drifts and steep moments count for what they can show.
+    `whole`: in kelvins, wherever they are. Few runs must all agree, so all of them count alike.
+    """
+    pairs = zip(before.by_model, after.by_model, strict=True)
+    apart = [replace(a, misfit=b.misfit - a.misfit) for b, a in pairs]
+    of = partial(run_errors, data, whole=True) if whole else partial(_in_noise, data)
+    moved = of(apart) if len(data) >= FEW_RUNS else None
+    largest = float(np.sqrt(np.mean(run_errors(data, before.runs, whole=whole) ** 2)))
+    return paired_gain(of(before.runs), of(after.runs), moved, largest)
+
+
+def _in_noise(data: Sequence[Whitened], runs: Sequence[RunState]) -> Array:
+    """Return the root mean square of the places' misfit in standard deviations of its noise (runs)."""
+    rows = [d(np.where(d.digest.valid, r.misfit, 0.0)) for d, r in zip(data, runs, strict=True)]
+    return np.array([np.sqrt(np.mean(row**2)) for row in rows])
 
 
 def whiten_all(digests: Sequence[Digest], noise: MeanNoise, panel_sd: float) -> tuple[Whitened, ...]:

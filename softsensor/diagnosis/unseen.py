@@ -10,7 +10,7 @@ from softsensor.diagnosis.extension import RunState, from_the_others, held_out, 
 from softsensor.diagnosis.numbers import Errors, measure_errors
 from softsensor.diagnosis.search import Candidate
 from softsensor.diagnosis.selection import Round
-from softsensor.diagnosis.settling import SettledModel
+from softsensor.diagnosis.settling import LeftOut, SettledModel
 from softsensor.signals.digest import Whitened
 
 
@@ -38,7 +38,9 @@ def stage_errors(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> lis
 
     return [
         measure_errors(
-            stage, never_seen(others[: i + 1], rounds, others_of), never_seen(ahead[: i + 1], rounds, ahead_of)
+            stage,
+            LeftOut(never_seen(others[: i + 1], rounds, others_of), others[i]),
+            never_seen(ahead[: i + 1], rounds, ahead_of),
         )
         for i, stage in enumerate(stages)
     ]

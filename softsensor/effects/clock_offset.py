@@ -30,4 +30,5 @@ EFFECT = Effect(
     live=Live(Role.OF_THE_RUN),
     measuring=True,
     needs=Need.SWITCH,
+    made_up_by=("closed_s", "opened_s"),
 )

@@ -258,6 +258,8 @@ class Effect:
     of_constant: str = ""
     """Key of the header whose number it says is off: where that has a standard deviation beside it, the number is
     as doubtful as that says, and the live sensor does not suspect it besides."""
+    made_up_by: tuple[str, ...] = ()
+    """What a fit leaves free in each run that can do the same: held where runs left out are to show a gain."""
     at_the_rim: bool = False
     """Whether sensors at the rim show it before those in the middle."""
 

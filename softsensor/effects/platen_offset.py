@@ -30,4 +30,5 @@ EFFECT = Effect(
     source="IEC 60584-1 tolerance classes",
     live=Live(Role.OF_THE_RUN),
     measuring=True,
+    made_up_by=("boundary_top_K", "boundary_bottom_K"),
 )

@@ -24,6 +24,7 @@ from softsensor.diagnosis.finding import Finding
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import PatternTest
 from softsensor.diagnosis.summary import sureness
+from tests.calibration import gains
 
 RUNS = 8
 NO_CORES = np.full(RUNS, np.nan)
@@ -287,6 +288,32 @@ def test_the_interval_of_a_gain_holds_the_truth_in_95_of_100_campaigns_however_f
             whole = np.sqrt(np.mean(before**2))
             inside += found.ci95[0] <= whole * (1 - np.exp(-0.2)) <= found.ci95[1]
         assert 930 <= inside <= 970
+
+
+def test_thick_panels_that_show_nothing_do_not_make_a_gain_in_thin_ones_unsure():
+    before, after = np.full(12, 0.06), np.full(12, 0.06)
+    before[:3], after[:3] = (0.55, 0.76, 0.30), (0.06, 0.05, 0.04)
+    moved = np.sqrt(np.maximum(before**2 - after**2, 0.0))
+    assert not paired_gain(before, after).sure
+    found = paired_gain(before, after, moved)
+    assert found.sure
+    fallen = np.sqrt(np.mean(before**2)) - np.sqrt(np.mean(after**2))
+    assert found.value_K == pytest.approx(fallen, rel=0.05)
+
+
+def test_a_gain_in_one_run_alone_is_not_sure_however_much_the_cause_could_show_there():
+    before, after = np.full(6, 0.06), np.full(6, 0.06)
+    before[0] = 5.0
+    assert not paired_gain(before, after, np.sqrt(before**2 - after**2)).sure
+
+
+def test_how_far_two_equally_good_models_lie_apart_makes_no_gain_of_chance():
+    sure, worse = 0, 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        _, found = gains.gains(rng, gains.APART["in a quarter far"](rng, 8), 0.5)
+        sure, worse = sure + found.sure, worse + found.surely_worse
+    assert max(sure, worse) <= 20  # 10 promised each; binomial, 1 in 700 above 20
 
 
 def test_one_run_has_no_interval_and_no_sure_gain():

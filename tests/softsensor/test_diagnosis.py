@@ -48,6 +48,7 @@ from softsensor.diagnosis.extension import (
 from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
+from softsensor.diagnosis.held import SWITCHED
 from softsensor.diagnosis.numbers import (
     BLOCK_S,
     Interval,
@@ -59,11 +60,13 @@ from softsensor.diagnosis.numbers import (
     sure_core_error_K,
 )
 from softsensor.diagnosis.run_scores import run_scores
-from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, SWITCHED, Candidate, search, switch_scores
+from softsensor.diagnosis.search import CLOCK_ERROR_S, HOPELESS, Candidate, search, switch_scores
 from softsensor.diagnosis.selection import Round, left_beside, p_values
 from softsensor.diagnosis.settling import (
     START_NOISE,
+    LeftOut,
     finer,
+    gain_of,
     panels_as_usual,
     panels_given,
     run_errors,
@@ -127,6 +130,19 @@ def test_a_campaign_without_a_hidden_effect_gets_no_name() -> None:
     assert found.verdict == "no_effect"
     assert found.findings == ()
     assert found.extended == found.base
+
+
+def test_contacts_that_follow_the_pressure_of_their_runs_are_named_though_each_run_can_make_up_for_it() -> None:
+    """A run's own contact does what its pressure does, so nothing is left in any: it shows between the runs."""
+    wide = (150.0, 250.0, 350.0, 450.0)
+    plan = Plan(rate_hz=2.0, thickness_mm=16.0, coefficient_spread=0.12, pressure_N_cm2=wide)
+    runs = make_campaign(93101, 12, {"contact_load": {"exponent": 0.8}}, plan)
+    found = diagnose(press(), [run for run, _ in runs], law=False)
+    (cause,) = found.findings
+    assert (found.verdict, cause.set) == (Verdict.NAMED, ("contact_load",))
+    low, high = cause.parameters["exponent"].ci95
+    assert low < 0.8 < high
+    assert cause.gain.sure
 
 
 def test_a_rim_loss_is_named_and_its_size_found() -> None:
@@ -275,7 +291,7 @@ def test_what_a_fitted_moment_of_insertion_shifts_is_no_error() -> None:
     late = [np.linspace(0.0, 9.0, r.shift.size).reshape(r.shift.shape) for r in stage.fit.runs]
     runs = tuple(replace(r, shift=r.shift + s) for r, s in zip(stage.fit.runs, late, strict=True))
     moved = replace(stage, fit=replace(stage.fit, runs=runs))
-    before, after = (measure_errors(s, r, r) for s, r in ((stage, stage.fit.runs), (moved, runs)))
+    before, after = (measure_errors(s, LeftOut.of(r), r) for s, r in ((stage, stage.fit.runs), (moved, runs)))
     assert after.as_json() == before.as_json()
 
 
@@ -392,7 +408,9 @@ def test_runs_left_out_have_the_numbers_of_the_others_and_not_their_own() -> Non
     thetas = from_the_others(stage.fit, stage.data, rounds=1)
     own = [stage.fit.theta] * len(stage.data)
     left_out, with_their_own = (
-        measure_errors(stage, held_out(stage.fit, stage.data, 3, t), predicted(stage.fit, stage.data, t))
+        measure_errors(
+            stage, LeftOut.of(held_out(stage.fit, stage.data, 3, t)), predicted(stage.fit, stage.data, t)
+        )
         for t in (thetas, own)
     )
     (found,) = stage_errors([stage], [])
@@ -590,7 +608,7 @@ def test_what_late_scans_make_of_steep_moments_is_no_more_than_noise() -> None:
     noise = noise_floor([plain])
     for off, residual in ((1.2, plain.fit.runs), (EXCESS, runs)):
         stage = replace(plain, fit=replace(plain.fit, runs=residual))
-        errors = measure_errors(stage, residual, residual)
+        errors = measure_errors(stage, LeftOut.of(residual), residual)
         assert (errors.rmse_K > EXCESS * noise) is (residual is runs)
         assert errors.weighed_rmse_K < off * noise
 
@@ -669,8 +687,8 @@ def test_panels_that_conduct_otherwise_are_a_second_cause_though_each_could_be_f
     hidden = ["contact_asymmetry", "conductivity_offset"]
     found = diagnose(press(), [run for run, _ in make_campaign(8150050, 12, hidden, Plan(core_column=0.25))])
     assert [f.name for f in found.findings] == hidden
-    both = found.findings[0].gain.value_K, found.base.heldout_rmse_K - found.extended.heldout_rmse_K
-    assert 0.0 < both[0] < both[1]
+    both = gain_of(found.stages[-1].data, found.base.left_out, found.extended.left_out)
+    assert 0.0 < found.findings[0].gain.value_K < both.value_K
 
 
 def test_constants_that_are_off_explain_only_what_panels_as_given_leave() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.search import varies
+from softsensor.diagnosis.held import varies
 from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import Effect, Scene, Terms, find_effect
 from softsensor.effects.effect import LawOf

@@ -1,0 +1,88 @@
+"""What a cause saves on runs left out, with what a run's own numbers could do in its place held.
+
+A run's moments make up for a clock, its platens' errors for platens that are off in all runs, its panel's
+constants for other constants, its contacts for the pressure that they follow. Fitted to a run left out, they would
+leave such a cause nothing to save.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.diagnosis.extension import RunState, SharedFit, each_run, fit_run_to, from_the_others, held_out
+from softsensor.diagnosis.extension_unknowns import start_eta
+from softsensor.diagnosis.gains import Gain
+from softsensor.diagnosis.settling import LeftOut, SettledModel, gain_of
+from softsensor.effects import Effect, Need, clock_offset
+from softsensor.signals.digest import Digest, Whitened
+
+SWITCHED = clock_offset.EFFECT.made_up_by
+HELD = 1e-6
+"""A number known so well stays where it is held, whatever the readings say: a moment [s], a logarithm."""
+
+
+def made_up_for(effect: Effect, data: Sequence[Whitened]) -> bool:
+    """Whether a run's own numbers can do the same: its contacts only where its pressure stays as it is."""
+    if effect.needs == Need.LOAD:
+        return between_runs(effect, data)
+    return bool(effect.made_up_by or effect.of_constant)
+
+
+def between_runs(effect: Effect, data: Sequence[Whitened]) -> bool:
+    """Whether an effect shows in nothing but what the runs' contacts differ by."""
+    return effect.needs == Need.LOAD and not any(varies([d.digest.cases[False].load]) for d in data)
+
+
+def varies(loads: Sequence[Mapping[int, Array]]) -> bool:
+    """Whether pressures (by contact, in each step) differ enough that something could follow them."""
+    values = [v for load in loads for series in load.values() if len(series) for v in (series.min(), series.max())]
+    return bool(values) and max(values) > 1.05 * min(values)
+
+
+def held_gain(stage: SettledModel, fit: SharedFit, effect: Effect) -> Gain:
+    """Return what an effect, fitted on top of a stage, saves on runs left out.
+
+    Moments are held at the limit switch, and steep ones count whole; platens at their readings; contacts that
+    follow a load at what the other runs give; a panel's constants at those given.
+    """
+    before, after = (LeftOut.of(_held(f, stage.data, effect)) for f in (stage.fit, fit))
+    data = [d.as_given for d in stage.data] if effect.of_constant else stage.data
+    return gain_of(data, before, after, whole=effect.needs == Need.SWITCH)
+
+
+def _held(fit: SharedFit, data: Sequence[Whitened], effect: Effect) -> list[RunState]:
+    thetas = from_the_others(fit, data)
+    if effect.of_constant:
+        return held_out(fit, [d.as_given for d in data], rounds=3, thetas=thetas)
+    names = [_made_up_by(d.digest, effect) for d in data]
+    unknowns = tuple(
+        tuple(replace(u, sd=HELD) if u.name in held else u for u in of_run)
+        for of_run, held in zip(fit.layout.unknowns, names, strict=True)
+    )
+    layout = replace(fit.layout, unknowns=unknowns)
+
+    def left_out(r: int) -> RunState:
+        own = np.array([u.name not in names[r] for u in unknowns[r]])
+        begin = np.where(own, fit.runs[r].eta, start_eta(layout, r, thetas[r]))
+        return fit_run_to(layout, r, data[r], thetas[r], begin)
+
+    return each_run(left_out, len(data))
+
+
+def _made_up_by(digest: Digest, effect: Effect) -> Sequence[str]:
+    """Return a run's own numbers that can do what an effect does."""
+    if effect.needs == Need.SWITCH and digest.switch is None:
+        return ()
+    if effect.needs != Need.LOAD:
+        return effect.made_up_by
+    return list(loads(digest))
+
+
+def loads(digest: Digest) -> dict[str, float]:
+    """Return the mean logarithm of the pressure by closed contact that follows one."""
+    case = digest.cases[False]
+    return {case.press.contact[m].closed: float(np.mean(np.log(load))) for m, load in case.load.items()}
