@@ -147,7 +147,8 @@ class ThermalModel:
         fineness
             2 halves cells and steps, and quarters the error.
         max_step_s, switch_step_s
-            Longest step, and step around a switch. [s]
+            Longest step, and step around a switch; where nothing outside is measured, steps grow beyond the
+            longest with the time since the last switch (`heat.case.LATER`). [s]
         growth
             Of a step over the one before, after a switch.
 
