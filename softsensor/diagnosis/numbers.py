@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from daq.press.press_file import At
 from daq.records import Array
 from softsensor.diagnosis.decision import ALPHA_PATTERN
 from softsensor.diagnosis.extension import RunState, SharedFit
-from softsensor.diagnosis.extension_unknowns import is_shape
+from softsensor.diagnosis.extension_unknowns import is_shape, run_values
 from softsensor.diagnosis.search import CLOCK_ERROR_S
 from softsensor.diagnosis.settling import START_NOISE, LeftOut, SettledModel
 from softsensor.effects import Effect, Need
 from softsensor.effects.parameters import QUARTILE
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
+from softsensor.heat.case import Case
 from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise
+from softsensor.signals.doubt import depth_doubt
 from softsensor.signals.faces import place_scatter
 from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_S
 from softsensor.signals.student import student
@@ -261,15 +264,39 @@ def sure_core_error_K(stage: SettledModel) -> float:  # noqa: N802 - kelvin
     """Return by how much core thermocouples surely lie off a model alike in all runs, 0 where chance may. [K]
 
     Of each run the mean over its time; what is beyond Student's interval over runs, as sure as a pattern of the
-    faces must be, is no panel's own doing.
+    faces must be, is no panel's own doing. A buried one may lie off its depth alike in all runs.
     """
-    pairs = zip(stage.data, stage.fit.runs, strict=True)
-    means = np.array([np.mean(np.concatenate(found)) for d, r in pairs if (found := _core_errors(d.digest, r))])
+    means, places = [], []
+    for number, (white, run) in enumerate(zip(stage.data, stage.fit.runs, strict=True)):
+        if errors := _core_errors(white.digest, run):
+            means.append(np.mean(np.concatenate(errors)))
+            places.append(np.mean(np.concatenate(_depth_errors(stage.fit, number, white.digest))))
     if len(means) < 2:
         return 0.0
     quantile = student(len(means) - 1, 1.0 - ALPHA_PATTERN / 2.0)
-    half = quantile * float(np.std(means, ddof=1) / np.sqrt(len(means)))
+    half = quantile * float(np.hypot(np.std(means, ddof=1) / np.sqrt(len(means)), np.mean(places)))
     return max(abs(float(np.mean(means))) - half, 0.0)
+
+
+def _depth_errors(fit: SharedFit, number: int, digest: Digest) -> list[Array]:
+    """Return what a deviation of its depth does to each core thermocouple of a run, where it reads (bins). [K]"""
+    cases = {paper: _read_beside(case, digest) for paper, case in digest.cases.items()}
+    values = run_values(fit.layout, number, fit.theta, fit.runs[number].eta)
+    beside = replace(digest, cases=cases).solve(fit.layout.model, values)
+    read = ((np.isfinite(digest.cores[c]), digest.bins(beside.column(c)[:, None])[:, 0]) for c in digest.cores)
+    return [np.abs(kelvin[good]) for good, kelvin in read]
+
+
+def _read_beside(case: Case, digest: Digest) -> Case:
+    """Return a case whose core thermocouples read what a deviation of their depth changes. [K]"""
+    places = case.places.copy()
+    for column, sensor in case.press.sensors_of(digest.run, "validation").items():
+        row = case.place_of[column]
+        places[row] = 0.0
+        if isinstance(sensor.at, At):
+            sd = depth_doubt(digest.run.header, case.press.sensor.index(sensor), sensor.at).sd / 1000.0
+            places[row] = sd * case.mesh.slope(sensor.at.layer, sensor.at.depth_mm / 1000.0)
+    return replace(case, places=places)
 
 
 def _core_errors(digest: Digest, run: RunState) -> list[Array]:

@@ -148,8 +148,7 @@ def _all(header: Mapping[str, Any], press: Press) -> Iterator[tuple[str, Doubt]]
         yield from _boundary(header, end, boundary)
     for number, sensor in enumerate(press.sensor):
         if sensor.role == "fit" and isinstance(sensor.at, At):
-            key = f"sensor.{number}.at.depth_mm"
-            yield key, _of_press(header, key, sensor.at.depth_mm, dict(sensor.at.sd), DEPTH_MM)
+            yield f"sensor.{number}.at.depth_mm", depth_doubt(header, number, sensor.at)
 
 
 def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
@@ -208,6 +207,11 @@ def _boundary(header: Mapping[str, Any], end: str, boundary: Boundary) -> Iterat
     if boundary.kind in (BoundaryKind.FLUX, BoundaryKind.AIR) and boundary.ambient_C is not None:
         key = f"boundary.{end}.ambient_C"
         yield key, _of_press(header, key, boundary.ambient_C, own, AMBIENT_K)
+
+
+def depth_doubt(header: Mapping[str, Any], number: int, at: At) -> Doubt:
+    """Return how far a buried sensor may lie from its depth; `number` is its table's in the press file. [mm]"""
+    return _of_press(header, f"sensor.{number}.at.depth_mm", at.depth_mm, dict(at.sd), DEPTH_MM)
 
 
 def _of_press(header: Mapping[str, Any], key: str, value: float, own: Mapping[str, float], sd: float) -> Doubt:

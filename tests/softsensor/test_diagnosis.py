@@ -18,8 +18,8 @@ from daq.records import Array, InputError, Moments, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
 from daq.words.message import catalogue_of, sentences, words
-from softsensor.diagnosis import verdict
-from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes, thickness_notes
+from softsensor.diagnosis import numbers, verdict
+from softsensor.diagnosis.advice import CORE_OFF_K, AdviceBasis, next_measurement, rim_notes, thickness_notes
 from softsensor.diagnosis.causes import _alternatives
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import (
@@ -96,7 +96,7 @@ from softsensor.jobs.stored_diagnosis import stored_diagnosis
 from softsensor.planning.plan import plan
 from softsensor.report.diagnosis_figures import residual_figure
 from softsensor.report.diagnosis_report import diagnosis_report
-from softsensor.signals.digest import Digest, MeanNoise, Whitened
+from softsensor.signals.digest import Digest, MeanNoise, Whitened, digest_run
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.moments import moments_seen
 from softsensor.signals.screen import screened
@@ -1134,7 +1134,8 @@ def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
         ([], 0.0),
     ],
 )
-def test_cores_are_surely_off_where_all_runs_share_it_and_not_where_panels_scatter(means_K, sure_K):
+def test_cores_are_surely_off_where_all_runs_share_it_and_not_where_panels_scatter(means_K, sure_K, monkeypatch):
+    monkeypatch.setattr(numbers, "_depth_errors", lambda *_: [np.zeros(1)])
     silent = SimpleNamespace(digest=SimpleNamespace(cores={}))
     read = [SimpleNamespace(digest=SimpleNamespace(cores={"core_1": np.array([50.0, np.nan, 60.0])}))]
     runs = [SimpleNamespace(validation={"core_1": np.array([50.0, 0.0, 60.0]) - mean}) for mean in means_K]
@@ -1143,3 +1144,51 @@ def test_cores_are_surely_off_where_all_runs_share_it_and_not_where_panels_scatt
         fit=SimpleNamespace(runs=[*runs, SimpleNamespace(validation={})]),
     )
     assert sure_core_error_K(stage) == pytest.approx(sure_K, abs=1e-3)
+
+
+HEATED_SLAB = """
+[[layer]]
+name = "slab"
+thickness_mm = 20.0
+density_kg_m3 = 650.0
+conductivity_W_mK = 0.15
+heat_capacity_J_kgK = 1500.0
+[initial]
+kind = "uniform"
+temperature_C = 20.0
+[boundary.top]
+kind = "flux"
+incident_W_m2 = 8000.0
+coefficient = "h"
+[coefficients.h]
+guess = 15.0
+lower = 1.0
+upper = 100.0
+[[sensor]]
+columns = ["top"]
+at = "slab.top"
+[[sensor]]
+columns = ["deep"]
+role = "validation"
+at = { layer = "slab", depth_mm = 15.0 }
+"""
+
+
+def test_a_core_that_may_lie_off_its_depth_in_steep_heat_is_not_surely_off() -> None:
+    """It lies 0.25 mm nearer to the heat in all runs, and heat rises by more than 10 K/mm."""
+    moved = parse_press(HEATED_SLAB.replace("15.0 }", "15.25 }"))
+    time_s, rng, runs = np.arange(0.0, 300.0), np.random.default_rng(4), []
+    for flux in (7000.0, 8000.0, 9000.0, 10000.0):
+        header = {"ambient.temperature_C": 20.0, "boundary.top.incident_W_m2": flux}
+        empty = Run(f"{flux:.0f}", header, time_s, {c: np.full(len(time_s), np.nan) for c in ("top", "deep")})
+        model = ThermalModel(moved)
+        found = model.solve(model.prepare(empty, Moments()), {"h": 15.0})
+        noisy = {c: found.column(c) + 0.1 * rng.normal(size=len(time_s)) for c in empty.columns}
+        runs.append(replace(empty, columns=noisy))
+    sure = []
+    for sd in ("", ', "depth_mm.sd" = 0.01'):
+        thermal = ThermalModel(parse_press(HEATED_SLAB.replace("15.0 }", f"15.0{sd} }}")))
+        stage = settle_base(thermal, [digest_run(thermal.press, run, Moments()) for run in runs])
+        sure.append(sure_core_error_K(stage))
+    assert sure[0] == 0.0
+    assert sure[1] > CORE_OFF_K
