@@ -15,6 +15,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
 import pandas as pd
 
 from daq.files.frames import frame_of, run_of
@@ -274,7 +275,8 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     run, own, detector = _showing(_run(table), _press(press))
     names = detector.looks_at(tuple(run.columns))
     found = []
-    if len(run.time_s) >= LONG_ROWS and set(detector.wires.columns).isdisjoint(names):
+    whole = len(run.time_s) >= LONG_ROWS and bool((np.diff(run.time_s) >= 0.0).all())  # no clock was set back
+    if whole and set(detector.wires.columns).isdisjoint(names):
         from daq.press.table_events import table_events  # loads slowly, and is worth it for a long table alone
 
         found = table_events(run.time_s, {name: run.columns[name] for name in names}, own)

@@ -106,3 +106,11 @@ def test_a_table_that_logs_a_wire_is_looked_at_scan_by_scan(monkeypatch, rows_as
     by_scan, at_once = in_both_ways(run, monkeypatch)
     pd.testing.assert_frame_equal(at_once, by_scan, check_exact=True)
     assert not rows_asked
+
+
+def test_a_table_whose_clock_was_set_back_has_the_events_that_are_found_scan_by_scan(monkeypatch, rows_asked):
+    run = a_table(2.0)
+    back = np.where(np.arange(len(run.time_s)) < 50, run.time_s, run.time_s - 10.0)
+    by_scan, at_once = in_both_ways(daq.Run("table", {}, back, run.columns), monkeypatch)
+    pd.testing.assert_frame_equal(at_once, by_scan, check_exact=True)
+    assert not rows_asked
