@@ -107,5 +107,5 @@ def _rows_until(run: Run, last_s: float, end: End) -> Run:
 
 def _texts(until: Until | None) -> list[str]:
     """Return ends as texts: one or several, numbers among them. Raises `InputError` for anything else."""
-    given = until if isinstance(until, Sequence) and not isinstance(until, str) else [until]
+    given = until if isinstance(until, Sequence) and not isinstance(until, str | bytes) else [until]
     return names_of([str(number_of(one)) if isinstance(one, Real) else one for one in given if one is not None])

@@ -672,6 +672,7 @@ def test_runs_end_from_python_where_the_command_lets_them_end(until, options, tm
         ("other:45", "^until other:45: no run 'other' is given"),
         (-1, r"until -1\.0 leaves 0 of"),
         ([[3]], "list: names are given"),
+        (b"45", "bytes: names are given"),
     ],
 )
 def test_an_end_of_runs_that_cannot_be_is_refused_from_python(until, expected):
