@@ -18,6 +18,7 @@ from softsensor.diagnosis.extension_unknowns import start_eta
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.settling import LeftOut, SettledModel, gain_of
 from softsensor.effects import Effect, Need, clock_offset
+from softsensor.heat.case import Case
 from softsensor.signals.digest import Digest, Whitened
 
 SWITCHED = clock_offset.EFFECT.made_up_by
@@ -33,8 +34,13 @@ def made_up_for(effect: Effect, data: Sequence[Whitened]) -> bool:
 
 
 def between_runs(effect: Effect, data: Sequence[Whitened]) -> bool:
-    """Whether an effect shows in nothing but what the runs' contacts differ by."""
-    return effect.needs == Need.LOAD and not any(varies([d.digest.cases[False].load]) for d in data)
+    """Whether an effect shows in nothing but what the runs' contacts differ by: all are fitted, loads constant."""
+    return effect.needs == Need.LOAD and all(_contacts_make_up(d.digest.cases[False]) for d in data)
+
+
+def _contacts_make_up(case: Case) -> bool:
+    fitted = case.press.free_coefficients
+    return not varies([case.load]) and all(case.press.contact[m].closed in fitted for m in case.load)
 
 
 def varies(loads: Sequence[Mapping[int, Array]]) -> bool:

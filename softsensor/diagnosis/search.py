@@ -300,7 +300,7 @@ def load_scores(stage: SettledModel) -> Array:
     """
     scores, count = np.zeros(len(stage.data)), len(stage.data)
     by_run = [loads(d.digest) for d in stage.data]
-    for name in set.intersection(*(set(of_run) for of_run in by_run)) if count > 3 else ():
+    for name in sorted(set.intersection(*(set(of_run) for of_run in by_run))) if count > 3 else ():
         contact = [estimate for ((_, estimate),) in stage.fit.own((name,))]
         both = _standard(contact) * _standard([of_run[name] for of_run in by_run])
         r = float(np.clip(both.mean(), 1.0 / count - 1.0, 1.0 - 1.0 / count))

@@ -145,6 +145,15 @@ def test_contacts_that_follow_the_pressure_of_their_runs_are_named_though_each_r
     assert cause.gain.sure
 
 
+def test_contacts_that_the_press_file_fixes_cannot_make_up_for_the_pressure_of_their_runs() -> None:
+    before, rest = press_toml().split("[coefficients.h_pp_c]")
+    fixed = parse_press(before + "[coefficients.h_pp_c]" + rest.replace("upper", "fixed = true\nupper", 1))
+    plan = Plan(rate_hz=1.0, thickness_mm=16.0, coefficient_spread=0.05, pressure_N_cm2=(150.0, 450.0))
+    runs = [run for run, _ in make_campaign(7, 6, {"contact_load": {"exponent": 0.8}}, plan)]
+    found = diagnose(fixed, runs, effects=["contact_load"], law=False)
+    assert [f.name for f in (*found.findings, *found.suspected)] == ["contact_load"]
+
+
 def test_a_rim_loss_is_named_and_its_size_found() -> None:
     found = diagnosed("edge_loss", 501, 7, 0.5)
     truth = campaign("edge_loss", 501, 7, 0.5)[0][1].effects["edge_loss"]["W_m3K"]
