@@ -18,7 +18,7 @@ from softsensor.diagnosis.extension_unknowns import start_eta
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.settling import LeftOut, SettledModel, gain_of
 from softsensor.effects import Effect, Need, clock_offset
-from softsensor.heat.case import Case
+from softsensor.heat.timing import OPENING_RAMP_S
 from softsensor.signals.digest import Digest, Whitened
 
 SWITCHED = clock_offset.EFFECT.made_up_by
@@ -35,12 +35,21 @@ def made_up_for(effect: Effect, data: Sequence[Whitened]) -> bool:
 
 def between_runs(effect: Effect, data: Sequence[Whitened]) -> bool:
     """Whether an effect shows in nothing but what the runs' contacts differ by: all are fitted, loads constant."""
-    return effect.needs == Need.LOAD and all(_contacts_make_up(d.digest.cases[False]) for d in data)
+    return effect.needs == Need.LOAD and all(_contacts_make_up(d.digest) for d in data)
 
 
-def _contacts_make_up(case: Case) -> bool:
+def _contacts_make_up(digest: Digest) -> bool:
+    case = digest.cases[False]
     fitted = case.press.free_coefficients
-    return not varies([case.load]) and all(case.press.contact[m].closed in fitted for m in case.load)
+    return not varies([closed_loads(digest)]) and all(case.press.contact[m].closed in fitted for m in case.load)
+
+
+def closed_loads(digest: Digest) -> dict[int, Array]:
+    """Return the pressure over its reference by contact, in each step while closed: an open press has none."""
+    case, moments = digest.cases[False], digest.moments
+    middle = 0.5 * (case.edges[1:] + case.edges[:-1])
+    shut = ~(middle <= moments.closed_s + moments.ramp_s) & ~(middle > moments.opened_s - OPENING_RAMP_S)
+    return {m: load[shut] for m, load in case.load.items()}
 
 
 def varies(loads: Sequence[Mapping[int, Array]]) -> bool:
@@ -89,6 +98,7 @@ def _made_up_by(digest: Digest, effect: Effect) -> Sequence[str]:
 
 
 def loads(digest: Digest) -> dict[str, float]:
-    """Return the mean logarithm of the pressure by closed contact that follows one."""
-    case = digest.cases[False]
-    return {case.press.contact[m].closed: float(np.mean(np.log(load))) for m, load in case.load.items()}
+    """Return the mean logarithm of the pressure while closed by closed contact that follows one."""
+    contact = digest.cases[False].press.contact
+    shut = closed_loads(digest).items()
+    return {contact[m].closed: float(np.mean(np.log(load))) for m, load in shut if len(load)}

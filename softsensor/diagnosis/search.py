@@ -29,7 +29,7 @@ from softsensor.diagnosis.extension import (
 )
 from softsensor.diagnosis.extension_unknowns import is_shape, lay_out
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.held import SWITCHED, between_runs, held_gain, loads, made_up_for, varies
+from softsensor.diagnosis.held import SWITCHED, between_runs, closed_loads, held_gain, loads, made_up_for, varies
 from softsensor.diagnosis.settling import LeftOut, SettledModel, finer, gain_of, scatter, whiten_all
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import ThermalModel
@@ -160,7 +160,7 @@ def candidates_for(stage: SettledModel) -> list[Effect]:
     """Return the catalogue's effects these runs can say something about."""
     digests = [d.digest for d in stage.data]
     press = stage.fit.layout.model.press
-    loads = [d.cases[False].load for d in digests]
+    pressures = [closed_loads(d) for d in digests]
     found = []
     for effect in catalogue().values():
         if not effect.parameters:
@@ -169,7 +169,7 @@ def candidates_for(stage: SettledModel) -> list[Effect]:
             continue
         if effect.needs == Need.SWITCH and not any(d.switch is not None for d in digests):
             continue
-        if effect.needs == Need.LOAD and not varies(loads):
+        if effect.needs == Need.LOAD and not varies(pressures):
             continue
         found.append(effect)
     return found
@@ -239,8 +239,14 @@ def probe(stage: SettledModel, effect: Effect, size: float, secant: Direction, r
 
 
 def _with_its_scatter(stage: SettledModel, fit: SharedFit) -> SharedFit:
-    """Fit again with the scatter of coefficients that a cause leaves: it may be all that they differ by."""
-    layout = lay_out(fit.layout.model, [d.digest for d in stage.data], scatter(fit), fit.values)
+    """Fit again with the scatter that a cause leaves of the contacts that follow it: it may be all they differ by.
+
+    That of others is no evidence: learned again from estimates that the one before has drawn in, it only shrinks.
+    """
+    digests = [d.digest for d in stage.data]
+    follow = set().union(*(loads(d) for d in digests))
+    spread = {n: sd if n in follow else stage.population.get(n, sd) for n, sd in scatter(fit).items()}
+    layout = lay_out(fit.layout.model, digests, spread, fit.values)
     return fit_campaign_model(layout, stage.data, [r.eta for r in fit.runs], rounds=4, tolerance=1.0)
 
 
@@ -298,13 +304,15 @@ def load_scores(stage: SettledModel) -> Array:
     The products of both deviations have the correlation as their mean; Fisher's transformation makes a normal
     number of it, which is not bounded by how many runs there are (Fisher, Metron 1, 3, 1921).
     """
-    scores, count = np.zeros(len(stage.data)), len(stage.data)
+    scores = np.zeros(len(stage.data))
     by_run = [loads(d.digest) for d in stage.data]
-    for name in sorted(set.intersection(*(set(of_run) for of_run in by_run))) if count > 3 else ():
-        contact = [estimate for ((_, estimate),) in stage.fit.own((name,))]
-        both = _standard(contact) * _standard([of_run[name] for of_run in by_run])
-        r = float(np.clip(both.mean(), 1.0 / count - 1.0, 1.0 - 1.0 / count))
-        scores += both * (np.arctanh(r) / r if r else 1.0) * (1.0 - 3.0 / count) ** 0.5  # Fisher, Metron 1921
+    for name in sorted(set().union(*by_run)):
+        own = [[estimate for _, estimate in of_run] for of_run in stage.fit.own((name,))]
+        there = [r for r, of_run in enumerate(by_run) if name in of_run and own[r]]
+        if (count := len(there)) > 3:
+            both = _standard([own[r][0] for r in there]) * _standard([by_run[r][name] for r in there])
+            r = float(np.clip(both.mean(), 1.0 / count - 1.0, 1.0 - 1.0 / count))
+            scores[there] += both * (np.arctanh(r) / r if r else 1.0) * (1.0 - 3.0 / count) ** 0.5  # Metron 1921
     return scores
 
 

@@ -48,7 +48,7 @@ from softsensor.diagnosis.extension import (
 from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.held import SWITCHED
+from softsensor.diagnosis.held import SWITCHED, between_runs, loads
 from softsensor.diagnosis.numbers import (
     BLOCK_S,
     Interval,
@@ -103,6 +103,7 @@ from softsensor.signals.screen import screened
 from softsensor.signals.unknown import Unknown
 from tests.editions import edition
 
+WIDE = Plan(rate_hz=2.0, thickness_mm=16.0, coefficient_spread=0.12, pressure_N_cm2=(150.0, 250.0, 350.0, 450.0))
 SMALL = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0))
 
 
@@ -134,9 +135,7 @@ def test_a_campaign_without_a_hidden_effect_gets_no_name() -> None:
 
 def test_contacts_that_follow_the_pressure_of_their_runs_are_named_though_each_run_can_make_up_for_it() -> None:
     """A run's own contact does what its pressure does, so nothing is left in any: it shows between the runs."""
-    wide = (150.0, 250.0, 350.0, 450.0)
-    plan = Plan(rate_hz=2.0, thickness_mm=16.0, coefficient_spread=0.12, pressure_N_cm2=wide)
-    runs = make_campaign(93101, 12, {"contact_load": {"exponent": 0.8}}, plan)
+    runs = make_campaign(93101, 12, {"contact_load": {"exponent": 0.8}}, WIDE)
     found = diagnose(press(), [run for run, _ in runs], law=False)
     (cause,) = found.findings
     assert (found.verdict, cause.set) == (Verdict.NAMED, ("contact_load",))
@@ -152,6 +151,29 @@ def test_contacts_that_the_press_file_fixes_cannot_make_up_for_the_pressure_of_t
     runs = [run for run, _ in make_campaign(7, 6, {"contact_load": {"exponent": 0.8}}, plan)]
     found = diagnose(fixed, runs, effects=["contact_load"], law=False)
     assert [f.name for f in (*found.findings, *found.suspected)] == ["contact_load"]
+
+
+def test_how_contacts_scatter_that_no_pressure_moves_is_no_evidence_for_one() -> None:
+    runs = [run for run, _ in make_campaign(701, 12, None, WIDE)]
+    base = settle_base(ThermalModel(press()), _screened(press(), runs)[1])
+    (found,) = search(base, [find_effect("contact_load")])
+    assert found.gain < HOPELESS
+
+
+def test_a_pressure_that_a_column_shows_only_while_closed_is_one_that_stays_as_it_is() -> None:
+    by_column = parse_press(
+        press_toml().replace('"h_pp_c"', '"h_pp_c"\nload = { column = "load", reference = 350.0 }')
+    )
+    runs = []
+    for run, truth in make_campaign(701, 3, None, WIDE):
+        shut = (run.time_s > truth.moments.closed_s - 1.0) & (run.time_s < truth.moments.opened_s + 1.0)
+        load = np.where(shut, run.setting("pressure_N_cm2"), 0.0)
+        runs.append(replace(run, columns=run.columns | {"load": load}))
+    digests = [_screened(by_column, [run])[1][0] for run in runs]
+    data = [Whitened.of(d, START_NOISE) for d in digests]
+    assert between_runs(find_effect("contact_load"), data)
+    for run, d in zip(runs, digests, strict=True):
+        assert loads(d)["h_pp_c"] == pytest.approx(np.log(run.setting("pressure_N_cm2") / 350.0), abs=1e-6)
 
 
 def test_a_rim_loss_is_named_and_its_size_found() -> None:
