@@ -79,27 +79,19 @@ class RehearsalResult:
         """Show how many campaigns of how many find each cause, and name a wrong one."""
         table = self._table()
         table[table.columns[0]] = self._names()
-        for column, counts in self._counts(table):
-            table[column] = counts
+        for column in table.columns[-3:]:
+            table[column] = [cell.partition(" (")[0] for cell in table[column]]
         above = table.to_string(index=False, max_rows=14) if len(table) else ""
         return printed([[line] for line in self._lines()], above=above)
 
     def _repr_html_(self) -> str:
         head = head_html(say("rehearsal-title", runs=self.rehearsal.runs))
         table = self._table()
-        for column, counts in self._counts(table):
-            table[column] = [f"{count} {share}" for count, share in zip(counts, table[column], strict=True)]
         table.insert(0, "", self._names())
         return head + (table_html(table) if len(table) else "") + lines_html(self._lines())
 
     def _names(self) -> list[str]:
         return [row.hidden.name for row in self.rehearsal.rows]
-
-    def _counts(self, table: pd.DataFrame) -> Iterator[tuple[str, list[str]]]:
-        """Yield by column how many campaigns of how many each row counts."""
-        for column, rates in zip(table.columns[-3:], ("found", "alone", "wrong"), strict=True):
-            counts = [getattr(row, rates) for row in self.rehearsal.rows]
-            yield column, [f"{rate.count}/{rate.of}" for rate in counts]
 
     def _table(self) -> pd.DataFrame:
         import pandas as pd
