@@ -260,7 +260,7 @@ def test_what_waits_behind_another_recorder_s_scans_follows_once_that_one_has_en
         run = store.run_record("lab-0")
         assert (run.status, run.first_scan, run.last_scan) == (RunStatus.CLOSED, 20, 29)
         assert any("stop one of them" in alarm for alarm in told(notes))
-        assert any(level == "warning" and "behind its scans" in text for level, text in notes.journalled)
+        assert any(level == "warning" and "after its scans" in text for level, text in notes.journalled)
     assert not list(tmp_path.glob("*set-aside*"))
 
 
