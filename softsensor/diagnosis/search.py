@@ -29,7 +29,16 @@ from softsensor.diagnosis.extension import (
 )
 from softsensor.diagnosis.extension_unknowns import is_shape, lay_out
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.held import SWITCHED, between_runs, closed_loads, held_gain, loads, made_up_for, varies
+from softsensor.diagnosis.held import (
+    SWITCHED,
+    between_runs,
+    closed_loads,
+    held_gain,
+    load_scores,
+    loads,
+    made_up_for,
+    varies,
+)
 from softsensor.diagnosis.settling import LeftOut, SettledModel, finer, gain_of, scatter, whiten_all
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import ThermalModel
@@ -295,30 +304,6 @@ def switch_scores(stage: SettledModel) -> Array:
         rest = [u.deviation(estimate - usual) for u, estimate in moments]
         scores.append(sum(rest) / max(len(rest), 1) ** 0.5)
     return np.asarray(scores, dtype=float)
-
-
-def load_scores(stage: SettledModel) -> Array:
-    """Return how far each run's contacts lie off where its pressure does, in standard deviations (runs).
-
-    Contacts fitted to each run make up for its pressure completely, so nothing of it is left in the temperatures.
-    The products of both deviations have the correlation as their mean; Fisher's transformation makes a normal
-    number of it, which is not bounded by how many runs there are (Fisher, Metron 1, 3, 1921).
-    """
-    scores = np.zeros(len(stage.data))
-    by_run = [loads(d.digest) for d in stage.data]
-    for name in sorted(set().union(*by_run)):
-        own = [[estimate for _, estimate in of_run] for of_run in stage.fit.own((name,))]
-        there = [r for r, of_run in enumerate(by_run) if name in of_run and own[r]]
-        if (count := len(there)) > 3:
-            both = _standard([own[r][0] for r in there]) * _standard([by_run[r][name] for r in there])
-            r = float(np.clip(both.mean(), 1.0 / count - 1.0, 1.0 - 1.0 / count))
-            scores[there] += both * (np.arctanh(r) / r if r else 1.0) * (1.0 - 3.0 / count) ** 0.5  # Metron 1921
-    return scores
-
-
-def _standard(values: Sequence[float]) -> Array:
-    off = np.array(values) - np.mean(values)
-    return np.asarray(off / max(float(np.std(off)), np.finfo(float).tiny))
 
 
 def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[SharedFit]:
