@@ -53,9 +53,7 @@ def speak(language: str) -> None:
     int: eine Presse wird mit dem Pfad einer Pressendatei angegeben oder als das, was read_press gab
     >>> daq.speak("en")
     """
-    if not isinstance(language, str):
-        raise refused(language, "given-no-names")
-    if language not in languages():
+    if name_of(language) not in languages():
         raise InputError(say("given-no-language", language=str(language), languages=languages()))
     choose(language)
 
@@ -135,11 +133,15 @@ def pair_of(given: object, code: str) -> tuple[float, float]:
     return low, high
 
 
+def name_of(given: object) -> str:
+    """Return a name that was given as a text. Raises `InputError` for anything else."""
+    if not isinstance(given, str):
+        raise refused(given, "given-no-names")
+    return given
+
+
 def names_of(given: object) -> list[str]:
     """Return names that were given as one text or several. Raises `InputError` for anything else."""
-    if isinstance(given, str):
-        return [given]
-    names: list[Any] = list(given) if isinstance(given, Iterable) else [given]
-    if odd := [name for name in names if not isinstance(name, str)]:
-        raise refused(odd[0], "given-no-names")
-    return names
+    if isinstance(given, Iterable) and not isinstance(given, str):
+        return [name_of(name) for name in given]
+    return [name_of(given)]

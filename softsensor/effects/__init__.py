@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import entry_points
 
-from daq.given import refused
+from daq.given import name_of
 from daq.records import InputError
 from daq.words import message as words
 from daq.words import say
@@ -180,9 +180,7 @@ def find_effect(name: str) -> Effect:
     >>> [f"{p.name} [{p.unit}]" for p in find_effect("edge_loss").parameters]
     ['W_m3K [W/m³K]']
     """
-    if not isinstance(name, str):
-        raise refused(name, "given-no-names")
-    effect = known_effect(name)
+    effect = known_effect(name_of(name))
     if effect is None:
         raise InputError(say("effect-not-in-catalogue", name=repr(name), known=tuple(catalogue())))
     return effect

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.given import keys_of, number_of, refused, warn
+from daq.given import keys_of, name_of, number_of, warn
 from daq.press.header import USUAL_PANEL, check_header, doubts, flat_header
 from daq.press.resin_file import Resin
 from daq.records import ROOM_C, InputError
@@ -124,9 +124,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
     >>> bool(at_180["likely_press_time_s"] < at_180["press_time_s"] < 90.0)
     True
     """
-    if not isinstance(goal, str):
-        raise refused(goal, "given-no-names")
-    if goal not in (known := tuple(one.value for one in Goal)):
+    if name_of(goal) not in (known := tuple(one.value for one in Goal)):
         raise InputError(say("advise-goal-unknown", goal=goal, known=known))
     _check("waiting_s", waiting_s, WAITING_S)
     _check("open_s", open_s, OPEN_S)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from daq.given import names_of, refused
+from daq.given import name_of, names_of
 from daq.records import with_frozen_fields
 from daq.words import Message, say
 from daq.words.message import chosen
@@ -170,9 +170,7 @@ def fit(  # noqa: PLR0913 - one argument a wish
     True
     """
     described = read_press(press)
-    if not isinstance(method, str):
-        raise refused(method, "given-no-names")
-    together, full = names_of(shared), full_method(method, averages=averages)
+    together, full = names_of(shared), full_method(name_of(method), averages=averages)
     check_shared(described, together)
     read = runs_of(runs, described, until)
     found = with_frozen_fields(fit_campaign(described, read, shared=together, profiles=profiles, method=full))
