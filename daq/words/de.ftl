@@ -1218,6 +1218,7 @@ law-variable-time_since_closing_s = Zeit seit dem Schließen in s
 rehearsal-alone = allein genannt
 rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Versuchsreihen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
 rehearsal-count = { $name } = { $value }: eine ganze Zahl ab 1 angeben
+rehearsal-counted = { $count } von { $of }
 rehearsal-file-other = { $path }: enthält anderes als fertige Versuchsreihen einer Probe; eine neue Datei angeben oder die einer früheren Probe
 rehearsal-found = gefunden
 rehearsal-heading = Wie oft eine solche Diagnose richtig ist

@@ -1200,6 +1200,7 @@ law-variable-time_since_closing_s = time since closing in s
 rehearsal-alone = named alone
 rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaigns to diagnose, { $done } done before. They come from the sensor's own model with these runs' programs, noise and scatter.
 rehearsal-count = { $name } = { $value }: give a whole number of at least 1
+rehearsal-counted = { $count } of { $of }
 rehearsal-file-other = { $path }: holds something else than finished campaigns of a rehearsal; give a new file, or the one of an earlier rehearsal
 rehearsal-found = found
 rehearsal-heading = How often such a diagnosis is right

@@ -79,8 +79,9 @@ class RehearsalResult:
         """Show how many campaigns of how many find each cause, and name a wrong one."""
         table = self._table()
         table[table.columns[0]] = self._names()
-        for column in table.columns[-3:]:
-            table[column] = [cell.partition(" (")[0] for cell in table[column]]
+        for column, kind in zip(table.columns[-3:], ("found", "alone", "wrong"), strict=True):
+            rates = [getattr(row, kind) for row in self.rehearsal.rows]
+            table[column] = [str(say("rehearsal-counted", count=rate.count, of=rate.of)) for rate in rates]
         above = table.to_string(index=False, max_rows=14) if len(table) else ""
         return printed([[line] for line in self._lines()], above=above)
 
