@@ -13,7 +13,7 @@ import numpy as np
 from softsensor.diagnosis.directions import direction
 from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
-from softsensor.diagnosis.search import Candidate, best_secant, extend, probe, refine, size_in
+from softsensor.diagnosis.search import Candidate, best_secant, extend, probe, refine, saved, size_in
 from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import Effect
 
@@ -34,7 +34,7 @@ def fit_alone(base: SettledModel, effect: Effect, both: SettledModel) -> Candida
     zeros = np.zeros(len(base.data))
     values = {key: fit.values[key] for key in layout.effect_names}
     secant = direction(base.fit, base.data, model, values)
-    return refine(base, Candidate(effect, secant, fit, max(base.fit.cost - fit.cost, 0.0), zeros, refined=False))
+    return refine(base, Candidate(effect, secant, fit, saved(base.fit, fit), zeros, refined=False))
 
 
 def exchange(

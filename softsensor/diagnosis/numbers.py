@@ -279,7 +279,13 @@ def sure_core_error_K(stage: SettledModel) -> float:  # noqa: N802 - kelvin
 
 
 def _depth_errors(fit: SharedFit, number: int, digest: Digest) -> list[Array]:
-    """Return what a deviation of its depth does to each core thermocouple of a run, where it reads (bins). [K]"""
+    """Return what a deviation of its depth does to each core thermocouple of a run, where it reads (bins). [K]
+
+    Only one at a stated depth may lie beside it.
+    """
+    sensors = digest.cases[False].press.sensors_of(digest.run, "validation").values()
+    if not any(isinstance(sensor.at, At) for sensor in sensors):
+        return [np.zeros(1)]
     cases = {paper: _read_beside(case, digest) for paper, case in digest.cases.items()}
     values = run_values(fit.layout, number, fit.theta, fit.runs[number].eta)
     beside = replace(digest, cases=cases).solve(fit.layout.model, values)

@@ -95,12 +95,12 @@ class Candidate:
 
     def among(self, stage: SettledModel, runs: np.ndarray) -> Candidate:
         """Return what some of the runs say for it."""
-        saved = sum(stage.fit.runs[r].cost - self.fit.runs[r].cost for r in runs)
-        saved += len(runs) * _narrower(stage.fit, self.fit)
+        gain = sum(stage.fit.runs[r].cost - self.fit.runs[r].cost for r in runs)
+        gain += len(runs) * _narrower(stage.fit, self.fit)
         others = tuple(self.others[r] for r in runs) if self.others else ()
         fit = replace(self.fit, runs=tuple(self.fit.runs[r] for r in runs))
         return replace(
-            self, fit=fit, gain=max(saved, 0.0), gains=self.gains[runs], others=others, score=self.score[runs]
+            self, fit=fit, gain=max(gain, 0.0), gains=self.gains[runs], others=others, score=self.score[runs]
         )
 
     @property
@@ -244,7 +244,7 @@ def probe(stage: SettledModel, effect: Effect, size: float, secant: Direction, r
         fit = _with_its_scatter(stage, fit)
     score = switch_scores(stage) if effect.needs == Need.SWITCH else secant.scores
     zeros = np.zeros(len(stage.data))
-    return Candidate(effect, secant, fit, _saved(stage.fit, fit), zeros, refined=False, score=score)
+    return Candidate(effect, secant, fit, saved(stage.fit, fit), zeros, refined=False, score=score)
 
 
 def _with_its_scatter(stage: SettledModel, fit: SharedFit) -> SharedFit:
@@ -265,7 +265,7 @@ def _narrower(before: SharedFit, after: SharedFit) -> float:
     return float(sum(2.0 * np.log(b.sd / a.sd) for b, a in pairs if b.shared))
 
 
-def _saved(before: SharedFit, after: SharedFit) -> float:
+def saved(before: SharedFit, after: SharedFit) -> float:
     """Return the sum of squares that a model saves over another, not less than nothing."""
     return max(before.cost - after.cost + len(before.runs) * _narrower(before, after), 0.0)
 
@@ -283,7 +283,7 @@ def _from_guesses(stage: SettledModel, candidate: Candidate) -> Candidate:
     fit = fit_campaign_model(layout, stage.data, rounds=6, tolerance=1.0)
     if fit.cost >= candidate.fit.cost:
         return candidate
-    return replace(candidate, fit=fit, gain=_saved(stage.fit, fit))
+    return replace(candidate, fit=fit, gain=saved(stage.fit, fit))
 
 
 def _kept_sizes(stage: SettledModel) -> dict[str, float]:
@@ -376,7 +376,7 @@ def refine(stage: SettledModel, candidate: Candidate, rounds: int = 8) -> Candid
     return replace(
         candidate,
         fit=fit,
-        gain=_saved(stage.fit, fit),
+        gain=saved(stage.fit, fit),
         gains=gains,
         refined=True,
         others=tuple(others),

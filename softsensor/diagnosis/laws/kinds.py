@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.held import varies
+from softsensor.diagnosis.held import closed_loads, varies
 from softsensor.diagnosis.settling import SettledModel
 from softsensor.effects import Effect, Scene, Terms, find_effect
 from softsensor.effects.effect import LawOf
@@ -42,7 +42,6 @@ from softsensor.effects.free_law import (
     time_source_terms,
 )
 from softsensor.effects.parameters import Parameter
-from softsensor.heat.timing import OPENING_RAMP_S
 from softsensor.signals.digest import Digest
 
 # Numbers without another source were set by hand, 2026-11.
@@ -138,10 +137,9 @@ def _closed_loads(digests: Sequence[Digest]) -> Array:
     """Return the pressures on the panel's contacts while closed, over their reference."""
     found = [np.zeros(0)]
     for digest in digests:
-        case, moments = digest.cases[False], digest.moments
-        middle = 0.5 * (case.edges[1:] + case.edges[:-1])
-        shut = (middle > moments.closed_s + moments.ramp_s) & ~(middle > moments.opened_s - OPENING_RAMP_S)
-        found += [case.load[m][shut] for m in case.scene.panel_contacts if m in case.load]
+        if np.isfinite(digest.moments.closed_s):
+            shut = closed_loads(digest)
+            found += [shut[m] for m in digest.cases[False].scene.panel_contacts if m in shut]
     return np.concatenate(found)
 
 
