@@ -175,8 +175,11 @@ class Database:
         if self.path is None or self._held is None:
             return None
         try:
-            aside = rescue(self._held.connection, self.path, alive, without_log=self.log_cut or self.overwritten)
-        except (sqlite3.Error, OSError) as error:
+            with self.translated():
+                aside = rescue(
+                    self._held.connection, self.path, alive, without_log=self.log_cut or self.overwritten
+                )
+        except OSError as error:
             raise StoreUnavailable(_advice(self, str(error))) from error
         self._held = None
         self._open_anew()
@@ -244,14 +247,14 @@ class Database:
         except (OperationalError, InterfaceError) as error:
             self._refuse_own_view(error)
             raise StoreUnavailable(_advice(self, str(error.orig))) from error
-        except (DatabaseError, sqlite3.DatabaseError) as error:
+        except (DatabaseError, sqlite3.Error) as error:
             reason = str(error.orig if isinstance(error, DatabaseError) else error)
             if "not a database" in reason:
                 raise NotAStore(say("store-not-sqlite", store=self.label)) from error
             if "cannot contain NUL" in reason:
                 raise InputError(say("store-nul", store=self.label)) from error
             self._refuse_own_view(error)
-            if isinstance(error, sqlite3.DatabaseError):
+            if isinstance(error, sqlite3.Error):
                 raise StoreUnavailable(_advice(self, reason)) from error
             if getattr(error.orig, "sqlstate", None) in _TAKES_NOTHING:
                 raise StoreUnavailable(_advice(self, reason)) from error
@@ -467,7 +470,6 @@ _REMEDIES = {
     "permission denied": "store-remedy-server-permission",
     'relation "': "store-remedy-server-tables",
     "malformed": "store-remedy-damaged",
-    "not a database": "store-remedy-damaged",
     "no such table": "store-remedy-damaged",
     "connection": "store-remedy-server",
     "server closed": "store-remedy-server",

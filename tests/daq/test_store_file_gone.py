@@ -222,7 +222,7 @@ def test_a_file_of_which_too_little_is_left_is_told_and_nothing_takes_its_place(
         outbox.close(0.1)
     assert len(notes.acknowledged) == 2000
     assert {level for level, _ in notes.journalled} == {"alarm"}
-    assert "not a database" in notes.journalled[0][1]
+    assert "not an SQLite file, or its first page is destroyed" in notes.journalled[0][1]
     assert path.stat().st_size == 0
 
 
