@@ -50,7 +50,7 @@ _PANDAS = "pandas"
 _FOREIGN_METADATA = (_PANDAS, "huggingface", "geo")
 """Schema metadata that other Parquet writers add, as JSON objects; no header keys."""
 _PANDAS_ATTRS = "PANDAS_ATTRS"
-"""Where `DataFrame.to_parquet` puts a table's ``attrs``, which are the header: one JSON object."""
+"""Where `pandas.DataFrame.to_parquet` puts a table's ``attrs``, which are the header: one JSON object."""
 
 
 _UNREADABLE = (pa.ArrowException, OSError, ValueError, MemoryError)

@@ -5,7 +5,7 @@ leaves its channels empty with the reason as their quality: what its last failur
 that comes after its tick's scan is used in the next scan, once, while it is younger than one and a half periods.
 
 A scan's `utc` is when the replies came; its `monotonic_s` is when the values were converted on average, which
-is up to half a second earlier in modules that convert one input after the other (`timing.age_s` of a profile).
+is up to half a second earlier in modules that convert one input after the other (`profile.Timing.age_s`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A connection watchdog: no call waits for ever on a PostgreSQL server that has stopped.
 
-Neither `statement_timeout` nor `tcp_user_timeout` helps there: the one is kept by the server, the other
+Neither ``statement_timeout`` nor ``tcp_user_timeout`` helps there: the one is kept by the server, the other
 watches the network, and a stopped server's machine still confirms every packet. So a wait without any sign
 from the server ends in a question: does it take another connection? A statement may take its time on a
 server that does (2026-11-21).

@@ -236,7 +236,7 @@ def first_layout(connection: Connection, press_id: int) -> int:
 
 
 def layout_channels(connection: Connection, layout_id: int) -> tuple[Channel, ...]:
-    """Return the channels of a layout in the order of `scan.readings`."""
+    """Return the channels of a layout in the order of a scan's readings."""
     columns = connection.execute(select(LAYOUT.c.columns_json).where(LAYOUT.c.layout_id == layout_id)).scalar_one()
     with sound(connection, of_all):
         return tuple(Channel(name, unit) for name, unit in json.loads(columns))

@@ -2,7 +2,7 @@
 
 The method and why it is so:
 
-1. Faulty channels are found first, by comparison with their neighbours, and left out (`suspect_channels`).
+1. Faulty channels are found first, by comparison with their neighbours, and left out (`screen.faulty_channels`).
 2. Each run is boiled down to place means in bins (`digest`) and fitted together with all others: its
    own coefficients, moments, start temperature, platen errors and sensor offsets, with priors learned
    from the campaign, and conductivity and heat capacity about those given, as panels of one product differ

@@ -4,7 +4,7 @@ A stack at rest passes the same flux everywhere between two readings, so its tem
 thermal resistance: of the layers, at their temperatures, and of the contacts. Where contacts are open each body
 has the temperature of its own readings. What is taken or given between two readings (sources, losses to the air)
 is not counted. One that was not quite at rest differs, in each gap between two readings, by a parabola along the
-resistance, whose height is a parameter (`start_0_K` for the lowest gap): flux and temperature stay continuous.
+resistance, whose height is a parameter (``start_0_K`` for the lowest gap): flux and temperature stay continuous.
 
 The live sensor starts at rest, at the coefficients in force and with their doubt. A fit starts straight in
 height, with no say of its contacts: at rest, the first readings become evidence on them, though a press is

@@ -95,7 +95,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Quantities:
-    """What limits are about, by draw and press time (draws, t): as `opening.limits.Panel` has them."""
+    """What limits are about, by draw and press time (draws, t): as `opening.limits.PanelState` has them."""
 
     cure_bottom: Array
     cure_top: Array

@@ -34,7 +34,7 @@ Instead of rule 1, tried with 2 to 4 on the same five pairs the same day: k and 
 integrated out. What a standard deviation of each moves signals by, at the plain model's fit, joins the covariance
 of the run's noise as two more columns (`Whitened`), in every fit alike, so that sums of squares stay comparable.
 Both causes are then named or in a set in three of the five, 55103 with them; 55107 and 55108 lack the second as
-before. That is in force since 2026-11-26 (`search.with_own_panel`), with limits: a constant lies five standard
+before. That is in force since 2026-11-26 (`settling.with_own_panel`), with limits: a constant lies five standard
 deviations off at most, and the less the further the model is off.
 """
 
