@@ -385,7 +385,7 @@ def bounded_step(normal: Array, right: Array, theta: Array, lower: Array, upper:
             break
         free[crossing] = False
         step[crossing] = np.clip((theta + step)[crossing], lower[crossing], upper[crossing]) - theta[crossing]
-    return step * min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
+    return step * float(np.min(limit / np.maximum(np.abs(step), 1e-300), initial=1.0))
 
 
 def from_the_others(fit: SharedFit, data: Sequence[Whitened], rounds: int = 0) -> list[Array]:

@@ -1,4 +1,4 @@
-"""A prediction that grows without end loses against every other, and ends no diagnosis."""
+"""Neither a prediction that grows without end nor a press file with nothing left to fit ends a diagnosis."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,7 @@ from softsensor.signals.digest import UNBOUNDED_K, MeanNoise, Whitened, digest_r
 from softsensor.signals.instrument import MEAN_FAST_K, MEAN_SLOW_K, MEAN_WHITE_K
 from softsensor.signals.moments import moments_of
 
-PRESS = parse_press(
-    """
+FILE = """
     [[layer]]
     name = "panel"
     from_run = true
@@ -36,7 +35,7 @@ PRESS = parse_press(
     columns = ["in_1"]
     at = { layer = "panel", depth_mm = 37.5 }
     """
-)
+PRESS = parse_press(FILE)
 HEADER = {
     "panel.material": "stone wool",
     "panel.thickness_mm": 50.0,
@@ -81,3 +80,13 @@ def test_a_cause_that_cannot_be_in_this_panel_is_weighed_and_found_wanting(wool)
 def test_what_is_finite_stays_to_the_last_bit(wool):
     solution = wool.solve(ThermalModel(PRESS), {"h": 50.0})
     assert wool.observed(solution).tobytes() == wool.bins(solution.sensors[:, :1]).tobytes()
+
+
+def test_a_press_whose_coefficients_are_all_fixed_leaves_runs_only_numbers_of_their_own(wool):
+    fixed = parse_press(FILE.replace("guess = 50.0", "guess = 50.0\n    fixed = true"))
+    data = [Whitened.of(wool, MeanNoise(MEAN_SLOW_K, MEAN_FAST_K, MEAN_WHITE_K))]
+    layout = lay_out(ThermalModel(fixed), [wool], {}, {})
+    fit = fit_campaign_model(layout, data)
+    assert not layout.names
+    assert np.abs(fit.runs[0].eta).max() > 0.1  # what the panel began at, and the platens
+    assert fit.cost < fit_campaign_model(layout, data, rounds=0).cost
