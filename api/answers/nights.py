@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from api.answers.schemas import LeftOut, Night
+from api.answers.schemas import Night, UnfittedRun
 from api.answers.words import message_answer
 from daq.store.records import StoredNight
 from daq.words import Message
@@ -20,7 +20,7 @@ def night_of(stored: StoredNight) -> Night:
         press=stored.press,
         started_utc=stored.started_utc,
         ended_utc=stored.ended_utc,
-        left_out=[LeftOut(run=run, why=str(why), why_said=message_answer(why)) for run, why in left_out],
+        left_out=[UnfittedRun(run=run, why=str(why), why_said=message_answer(why)) for run, why in left_out],
         reason=str(reason),
         reason_said=message_answer(reason),
         later_nights=nights_for(content["later"]),

@@ -33,8 +33,15 @@ from api.answers.words import message_answer
 from daq.press.header import VERDICT, doubts
 from daq.press.press_file import parse_press
 from daq.records import InputError
-from daq.store.records import CoefficientRecord, ModelRecord, ModelStatus, RunRecord, RunStatus, StoredEstimate
-from daq.store.records import DiagnosisRecord as StoredDiagnosis
+from daq.store.records import (
+    CoefficientRecord,
+    ModelRecord,
+    ModelStatus,
+    RunRecord,
+    RunStatus,
+    StoredDiagnosis,
+    StoredEstimate,
+)
 from daq.store.store import Store
 from daq.words import Message, spoken
 

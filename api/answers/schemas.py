@@ -427,7 +427,7 @@ class RunDetail(RunSummary):
     doubts_said: list[Said] = Field(default_factory=list)
 
 
-class QualitySpan(_Answer):
+class SampleQuality(_Answer):
     """Consecutive rows in which values of a column were not simply good."""
 
     column: str
@@ -446,7 +446,7 @@ class Samples(_Answer):
     decimated: bool
     time_s: list[float]
     columns: dict[str, list[float | None]]
-    quality: list[QualitySpan]
+    quality: list[SampleQuality]
     """Why values are missing, or simulated; of all rows, also where they are decimated."""
 
 
@@ -500,7 +500,7 @@ class Estimates(_Answer):
     """Upper bound of 95 %; null without a resin file or the panel's moisture."""
 
 
-class Simulation(_Answer):
+class SimulatedRun(_Answer):
     """The run simulated from its platen temperatures with its fitted coefficients."""
 
     run: str
@@ -734,7 +734,7 @@ class DiagnosisList(Paged[DiagnosisRecord]):
     """Diagnoses, newest first."""
 
 
-class LeftOut(_Answer):
+class UnfittedRun(_Answer):
     """A run that a night could not fit, and why."""
 
     run: str
@@ -764,7 +764,7 @@ class Night(_Answer):
     """Older runs whose fits rest on effects or a press file of before; their turn comes in the next nights."""
     later_nights: int
     """So many nights these take, a share of them in each."""
-    left_out: list[LeftOut]
+    left_out: list[UnfittedRun]
     """What could not be fitted this night, the first 50."""
     verdict: str
     """Of the diagnosis, `not_asked` where the runs are those of the night before, `failed` where the press's night

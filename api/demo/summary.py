@@ -128,12 +128,12 @@ def replayed(
     store: Store, press: Press, model: ModelFile, record: RunRecord, cycle: Cycle, zero_virtual_s: float
 ) -> float:
     """Return the core error of a stored pressing taken through the live sensor again with another model. [K]"""
-    from softsensor.live.sensor import LiveSensor  # loads slowly, and the processes wait to be started
+    from softsensor.live.sensor import ScanSensor  # loads slowly, and the processes wait to be started
 
     run = store.load_run(record.run)
     hidden = set(press.sensors_of(run, "validation"))
     columns = {name: values.tolist() for name, values in run.columns.items() if name not in hidden}
-    sensor = LiveSensor(press, record.header, model)
+    sensor = ScanSensor(press, record.header, model)
     estimates = []
     for i, time_s in enumerate(run.time_s.tolist()):
         e = sensor.update(time_s, {name: values[i] for name, values in columns.items()})

@@ -36,14 +36,15 @@ class NumberLimits:
 _ROOM = "coldest inhabited place (Oymyakon, -68 °C); a room at 100 °C is no room"
 _MATTER = "no solid at room temperature lies outside (aerogel, osmium, diamond composites aside)"
 _HAND = "set by hand, 2026-11: far beyond any press we know"
+_MOISTURE = NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass")
 LIMITS: Mapping[str, NumberLimits] = {
     "panel.thickness_mm": NumberLimits(0.1, 500.0, "mm", _HAND),
     "panel.density_kg_m3": NumberLimits(5.0, 25000.0, "kg/m³", _MATTER),
     "panel.conductivity_W_mK": NumberLimits(0.005, 500.0, "W/mK", _MATTER),
     "panel.heat_capacity_J_kgK": NumberLimits(50.0, 10000.0, "J/kgK", _MATTER),
-    "panel.moisture_percent": NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
-    "panel.moisture_before_percent": NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
-    "panel.moisture_after_percent": NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.moisture_percent": _MOISTURE,
+    "panel.moisture_before_percent": _MOISTURE,
+    "panel.moisture_after_percent": _MOISTURE,
     "panel.mass_before_g": NumberLimits(0.0, 1e6, "g", _HAND),
     "panel.mass_after_g": NumberLimits(-1e3, 1e6, "g", "a balance's zero drifts below nothing; above: " + _HAND),
     "panel.initial_temperature_C": NumberLimits(-60.0, 400.0, "°C", "wood chars above 400 °C"),

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from daq.records import InputError
-from daq.simulated.physics_pressing import Outside, Pressing
+from daq.simulated.physics_pressing import OutsideFault, Pressing
 from daq.words import say
 
 Parameters = Mapping[str, float]
@@ -162,7 +162,7 @@ def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressi
     fields: dict[str, float] = {}
     for name in faults.keys() & _OUTSIDE_FIELDS.keys():
         fields |= _OUTSIDE_FIELDS[name](pressing, faults[name])
-    return replace(pressing, outside=Outside(**fields))
+    return replace(pressing, outside=OutsideFault(**fields))
 
 
 def _when(pressing: Pressing, share: float) -> float:
@@ -203,7 +203,7 @@ _OUTSIDE_FIELDS: dict[str, Callable[[Pressing, Parameters], dict[str, float]]] =
         "flash_to": now.opened + p["lasts_s"],
     },
 }
-"""What each fault sets of a pressing's `Outside`."""
+"""What each fault sets of a pressing's `OutsideFault`."""
 
 
 def split_names(names: Sequence[str]) -> tuple[list[str], list[str]]:

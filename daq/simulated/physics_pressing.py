@@ -67,7 +67,7 @@ class Platen:
 
 
 @dataclass(frozen=True)
-class Outside:
+class OutsideFault:
     """Faults outside the catalogue; the defaults do nothing. Times in s of the run."""
 
     lapse_drop: float = 0.0
@@ -117,7 +117,7 @@ class Pressing:
     coefficients: Mapping[str, float] = field(default_factory=lambda: dict(BASE_COEFFICIENTS))
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Physical effects by the contract's names, and thermocouple lag and footprint."""
-    outside: Outside = Outside()
+    outside: OutsideFault = OutsideFault()
     plates: Plates = field(default_factory=Plates)
     pressure: float = LOAD_REFERENCE
     """[N/cm²]"""

@@ -2,7 +2,6 @@
 
 from daq.store.records import (
     CoefficientRecord,
-    DiagnosisRecord,
     JournalEntry,
     ModelRecord,
     NewRun,
@@ -14,6 +13,7 @@ from daq.store.records import (
     RunRecord,
     RunStatus,
     ScanBatch,
+    StoredDiagnosis,
     StoredEstimate,
     StoredNight,
     StoredPressEvent,
@@ -24,7 +24,6 @@ from daq.store.store import Store, open_store
 
 __all__ = [
     "CoefficientRecord",
-    "DiagnosisRecord",
     "JournalEntry",
     "ModelRecord",
     "NewRun",
@@ -38,6 +37,7 @@ __all__ = [
     "ScanBatch",
     "Store",
     "StoreUnavailable",
+    "StoredDiagnosis",
     "StoredEstimate",
     "StoredNight",
     "StoredPressEvent",

@@ -212,7 +212,7 @@ class ModelRecord:
 
 
 @dataclass(frozen=True)
-class DiagnosisRecord:
+class StoredDiagnosis:
     """One diagnosis as `kerntemp diagnose --json` writes it."""
 
     number: int

@@ -30,11 +30,11 @@ from daq.store.nights import forget_unfitted
 from daq.store.reading import cursor_number, newest_first, of_press, recorded_id, run_row
 from daq.store.records import (
     CoefficientRecord,
-    DiagnosisRecord,
     ModelRecord,
     ModelStatus,
     Page,
     ProcessStatus,
+    StoredDiagnosis,
     StoredEstimate,
 )
 from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, FIT, MODEL, NEWEST_FIT, PRESS, RUN, STATUS
@@ -353,11 +353,11 @@ def diagnoses(
     cursor: str | None = None,
     limit: int = 50,
     until: datetime | None = None,
-) -> Page[DiagnosisRecord]:
+) -> Page[StoredDiagnosis]:
     """Return a page of diagnoses, newest first; with `until` of those made before."""
     rows, following = newest_first(connection, DIAGNOSIS, press, cursor, limit, until)
     items = tuple(
-        DiagnosisRecord(
+        StoredDiagnosis(
             r.diagnosis_id, r.press, known_utc(r.created_unix_s), r.verdict, json.loads(r.diagnosis_json)
         )
         for r in rows

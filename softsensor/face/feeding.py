@@ -21,8 +21,7 @@ from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import model_for
 from softsensor.jobs.first_start import WorkKind, compile_for
-from softsensor.live.sensor import Estimate
-from softsensor.live.sensor import LiveSensor as ScanSensor
+from softsensor.live.sensor import Estimate, ScanSensor
 
 if TYPE_CHECKING:
     from softsensor.face.kinds import AnyModel, AnyPress, AnyScan

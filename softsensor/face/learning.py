@@ -19,8 +19,7 @@ from softsensor.face.inputs import read_press, resin_of, runs_of
 from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
 from softsensor.face.showing import lines_html, printed, shown
-from softsensor.opening.blisters import SteamLimit as Learned
-from softsensor.opening.blisters import believed_limit, learn_limit, limit_messages
+from softsensor.opening.blisters import LearnedLimit, believed_limit, learn_limit, limit_messages
 from softsensor.opening.limits import Normal
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ DRAWN = np.linspace(0.0, 2.0, 81)[1:]
 """Pressures at which the chance of a blister is given, over what half of the panels bear. By hand, 2026-11."""
 
 
-class SteamLimit(Learned):
+class SteamLimit(LearnedLimit):
     r"""What is known of the steam that panels bear: weights of a grid. [kPa]
 
     A panel blisters where steam at opening exceeds what its bond bears, whose logarithm has mean m and scatter t;

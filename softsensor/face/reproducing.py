@@ -14,8 +14,7 @@ from daq.tables import at
 from daq.words import say
 from daq.words.message import chosen
 from softsensor.face.showing import lines_html, printed, shown, table_html
-from softsensor.fitting.paper.procedures import EVERY_RUN_SHOWS
-from softsensor.fitting.paper.procedures import Reproduction as Compared
+from softsensor.fitting.paper.procedures import EVERY_RUN_SHOWS, SolverComparison
 from softsensor.fitting.paper.procedures import reproduce as compare
 from softsensor.heat.model import ThermalModel
 from softsensor.jobs.model_files import coefficients_of
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class Reproduction(Compared):
+class Reproduction(SolverComparison):
     """Two solvers and two kinds of slopes beside each other, and the cost along one coefficient."""
 
     def frame(self) -> pd.DataFrame:

@@ -34,7 +34,7 @@ from softsensor.fitting.problem import (
 from softsensor.fitting.unknowns import nuisance
 from softsensor.heat.chain import Solution
 from softsensor.heat.model_file import ModelFile, Scatter
-from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Source, constant_doubts
+from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Origin, constant_doubts
 from softsensor.signals.instrument import SPREAD_RUNS
 from softsensor.signals.pressed import all_products, products
 from softsensor.signals.unknown import Unknown
@@ -53,7 +53,7 @@ class ConstantFit:
     """In header, press file or table, in the unit of its key."""
     sd: float
     """How far it may be off before the run."""
-    source: Source
+    source: Origin
     value: float
     """As the run has it."""
     value_sd: float
@@ -71,7 +71,7 @@ class ConstantFit:
     @classmethod
     def from_json(cls, entry: Mapping[str, Any]) -> ConstantFit:
         """Return the constant that `as_json` wrote."""
-        return cls(**{**entry, "source": Source(entry["source"])})
+        return cls(**{**entry, "source": Origin(entry["source"])})
 
 
 def fit_doubts(run: Run, press: Press, learned: Mapping[str, float] | None = None) -> dict[str, Doubt]:
@@ -178,7 +178,7 @@ def with_constants_of(model: ModelFile, runs: Sequence[Mapping[str, ConstantFit]
     return replace(model, scatter=scatter, panels=all_products(model.panels, pressed))
 
 
-LEARNT = (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS)
+LEARNT = (Origin.DATA_SHEET, Origin.MATERIAL_TABLE, Origin.GUESS)
 
 
 def scatter_of(runs: Iterable[Mapping[str, ConstantFit]]) -> dict[str, Scatter]:

@@ -22,7 +22,7 @@ from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
-from softsensor.signals.doubt import Doubt, Source
+from softsensor.signals.doubt import Doubt, Origin
 from softsensor.signals.instrument import RAMPS_S
 from softsensor.signals.places import Noise, Signals, whiten
 from softsensor.signals.robust import Flags
@@ -439,7 +439,7 @@ def carried_among(problem: FitProblem) -> list[int]:
 
 
 def _carried(problem: FitProblem, key: str) -> bool:
-    stated = problem.doubts[key].source is Source.STATED or f"{key}{SD}" in problem.case.run.header
+    stated = problem.doubts[key].source is Origin.STATED or f"{key}{SD}" in problem.case.run.header
     return stated or key.startswith("panel.")
 
 

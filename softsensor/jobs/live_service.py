@@ -40,7 +40,7 @@ from softsensor.jobs.warm_up import warm_up
 from softsensor.live.forecast import Forecast
 from softsensor.live.leaving import Leave
 from softsensor.live.panels import panel_remark
-from softsensor.live.sensor import Estimate, LiveSensor
+from softsensor.live.sensor import Estimate, ScanSensor
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.instrument import LAG_GONE_S
 
@@ -191,7 +191,7 @@ class _Live:
     """The run being pressed and its sensor."""
 
     record: RunRecord
-    sensor: LiveSensor
+    sensor: ScanSensor
     model: str
     fitted_open: bool = False
     course: object = ()
@@ -369,7 +369,7 @@ class Follower:
         fitted = before is not None and before.record.run == record.run and before.fitted_open
         if before is None or before.record.run != record.run:
             self._read_resin()
-        sensor = LiveSensor(self.press, record.header, self.model.file, self.resin)
+        sensor = ScanSensor(self.press, record.header, self.model.file, self.resin)
         self.live = _Live(record, sensor, version, fitted)
         self.refused = None
         try:
@@ -467,7 +467,7 @@ def _resin_of(settings: PressSettings) -> Resin | None:
     return None if settings.resin is None else read_resin(settings.resin)
 
 
-def _details(sensor: LiveSensor, estimate: Estimate) -> dict[str, Any]:
+def _details(sensor: ScanSensor, estimate: Estimate) -> dict[str, Any]:
     """Return what goes beside an estimate, without what is not known.
 
     Forecast, profile and heat come out of the same estimate as the core: where that is not valid, none is given.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from daq.press.press_file import Press
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 
 _HEADER: Mapping[str, object] = {
     "panel.material": "MDF",
@@ -36,7 +36,7 @@ def warm_up(press: Press) -> None:
     ends = (press.boundary.bottom, press.boundary.top)
     outside = [end.column for end in ends if end.column is not None]
     inside = [pattern.replace("*", "1") for sensor in press.sensor for pattern in sensor.columns]
-    sensor = LiveSensor(press, _HEADER, None)
+    sensor = ScanSensor(press, _HEADER, None)
     for second in range(_END_S):
         warmth = _FACES_C[0] if second < _INSERTED_S else _FACES_C[1] if second < _CLOSED_S else _FACES_C[2]
         values = dict.fromkeys(inside, warmth) | dict.fromkeys(outside, _PLATENS_C)

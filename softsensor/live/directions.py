@@ -36,7 +36,7 @@ from softsensor.heat.case import Case
 from softsensor.heat.first_profile import gap_priors
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.live.priors import coefficient_priors
-from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Source, constant_doubts
+from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Origin, constant_doubts
 from softsensor.signals.instrument import SPREAD_LOG, START_K
 from softsensor.signals.unknown import Unknown
 
@@ -219,7 +219,7 @@ class _InDoubt:
     def loose(self, key: str, share: float) -> float:
         """Return the share of that variance whose size is known only within a range."""
         found = self.doubts.get(key := f"{self.prefix}.{key}")
-        if found is not None and found.source is Source.STATED:
+        if found is not None and found.source is Origin.STATED:
             return 0.0
         return min(1.0, self.panels.get(key, share) / share) ** 2
 

@@ -12,7 +12,7 @@ from daq.records import InputError, Run
 from daq.tables import at
 from daq.words import say
 from softsensor.heat.model_file import ModelFile
-from softsensor.live.sensor import LEAVES, NUMBERS, Estimate, LiveSensor
+from softsensor.live.sensor import LEAVES, NUMBERS, Estimate, ScanSensor
 
 OF_A_RESIN = (*LEAVES, "open_now")
 COLUMNS = ("time_s", "state", *NUMBERS, "valid", "reason", *OF_A_RESIN)
@@ -71,7 +71,7 @@ def replay(
     unseen = {*hidden, *press.sensors_of(run, "validation")}
     columns = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
     _check(press, run, columns, with_resin=resin is not None)
-    sensor = LiveSensor(press, run.header, model, resin)
+    sensor = ScanSensor(press, run.header, model, resin)
     estimates = []
     for i, time_s in enumerate(run.time_s.tolist()):
         estimates.append(sensor.update(time_s, {name: values[i] for name, values in columns.items()}))

@@ -155,7 +155,7 @@ class _Followed:
         return (*self.platens.values, *self.loads.logs)
 
 
-class LiveSensor:
+class ScanSensor:
     """Takes scans and says what the core is doing.
 
     Parameters

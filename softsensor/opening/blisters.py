@@ -37,7 +37,7 @@ _REACH, _CELLS = 4.0, (161, 41)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class SteamLimit:
+class LearnedLimit:
     """What is known of the limit: weights of a grid."""
 
     middle: Array
@@ -108,7 +108,7 @@ class SteamLimit:
         }
 
 
-def limit_messages(limit: SteamLimit) -> tuple[Message, ...]:
+def limit_messages(limit: LearnedLimit) -> tuple[Message, ...]:
     """Return in words what is learned, and what to write into the resin file."""
     low, high = limit.ci95_kPa
     learned, stated = limit.foreseen
@@ -143,7 +143,7 @@ def believed_limit(resin: Resin | None) -> tuple[float, float | None]:
 
 def learn_limit(
     steam: Normal, blistered: Array, believed_kPa: float = USUAL_KPA, believed_sd_kPa: float | None = None
-) -> SteamLimit:
+) -> LearnedLimit:
     """Return the steam that panels bear, from marked ones.
 
     Parameters
@@ -180,7 +180,7 @@ def learn_limit(
         likelihood = log_ndtr(z if burst else -z)
         foreseen.append((_log_sum(log + likelihood) - _log_sum(log), _log_sum(before + likelihood)))
         log = log + likelihood
-    return SteamLimit(
+    return LearnedLimit(
         middle,
         scatter,
         np.exp(log - _log_sum(log)),

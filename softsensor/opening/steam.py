@@ -27,7 +27,7 @@ import numpy as np
 
 from daq.press.resin_file import SorptionTable
 from daq.records import COLDEST_C, Array
-from softsensor.signals.doubt import Doubt, Source
+from softsensor.signals.doubt import Doubt, Origin
 
 MOISTURE = "panel.moisture_percent"
 """The header's key that steam follows."""
@@ -89,7 +89,7 @@ def equilibrium_moisture(humidity: Array | float, temperature_C: Array | float) 
 def stated_moisture(doubts: Mapping[str, Doubt]) -> Doubt | None:
     """Return the panel's moisture out of a run's constants; None where nobody stated it, or that there is none."""
     doubt = doubts.get(MOISTURE)
-    known = doubt is not None and doubt.source in (Source.STATED, Source.MEASURED) and doubt.value > 0.0
+    known = doubt is not None and doubt.source in (Origin.STATED, Origin.MEASURED) and doubt.value > 0.0
     return doubt if known else None
 
 

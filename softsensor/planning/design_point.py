@@ -29,7 +29,7 @@ from softsensor.fitting.constants import changed_run, fit_doubts
 from softsensor.heat.model import ThermalModel
 from softsensor.planning.information import RunInformation
 from softsensor.signals.digest import STEP_S, Digest, Whitened, digest_run, slope_of
-from softsensor.signals.doubt import PANEL_SCATTER, Doubt, Source
+from softsensor.signals.doubt import PANEL_SCATTER, Doubt, Origin
 from softsensor.signals.instrument import BURIED_K
 
 CORE = "planned_in_the_core"
@@ -63,7 +63,7 @@ def shares(key: str, doubt: Doubt) -> tuple[float, float]:
     """
     if not key.startswith("panel."):
         return (1.0, 0.0) if key.startswith(("ambient.", "sensor.")) else (0.0, 1.0)
-    if doubt.source not in (Source.MATERIAL_TABLE, Source.GUESS) or doubt.relative <= PANEL_SCATTER:
+    if doubt.source not in (Origin.MATERIAL_TABLE, Origin.GUESS) or doubt.relative <= PANEL_SCATTER:
         return 1.0, 0.0
     own = PANEL_SCATTER / doubt.relative
     return own, math.sqrt(1.0 - own**2)

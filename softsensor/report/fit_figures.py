@@ -20,7 +20,7 @@ from daq.words.message import ENGLISH, words
 from softsensor.effects.vocabulary import place_words
 from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.core import FittedCore, fitted_core
-from softsensor.fitting.paper.procedures import Reproduction
+from softsensor.fitting.paper.procedures import SolverComparison
 from softsensor.fitting.result import RunFit, rounded
 from softsensor.fitting.unknowns import is_coefficient
 from softsensor.signals.places import Place
@@ -394,7 +394,7 @@ def correlation_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
     return figure
 
 
-def roughness_figure(found: Reproduction, language: str = ENGLISH) -> Figure:
+def roughness_figure(found: SolverComparison, language: str = ENGLISH) -> Figure:
     """Draw the cost along one coefficient for an adaptive and for the exact solver."""
     put = partial(words, language=language)
     percent = 100.0 * (found.relative - 1.0)

@@ -14,7 +14,7 @@ from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.core import fitted_core
 from softsensor.fitting.dependence import SETTINGS, Program
 from softsensor.fitting.identifiability import is_verdict_on
-from softsensor.fitting.paper.procedures import METHODS, Reproduction
+from softsensor.fitting.paper.procedures import METHODS, SolverComparison
 from softsensor.fitting.result import Identifiability, RunFit, rounded
 from softsensor.report.fit_figures import (
     coefficients_figure,
@@ -213,7 +213,7 @@ def _dependence(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
         yield {"name": name, "cells": cells}
 
 
-def paper_report(found: Reproduction, language: str = ENGLISH) -> str:
+def paper_report(found: SolverComparison, language: str = ENGLISH) -> str:
     """Return a page with the paper's table reproduced and the cost that explains it."""
     return page(
         "paper_report.html",

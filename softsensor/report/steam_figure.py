@@ -9,14 +9,14 @@ from matplotlib.figure import Figure
 
 from daq.words import say
 from daq.words.message import ENGLISH, words
-from softsensor.opening.blisters import SteamLimit, limit_messages
+from softsensor.opening.blisters import LearnedLimit, limit_messages
 from softsensor.report.fit_figures import COLOURS, INK, sheet
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def steam_figure(found: SteamLimit, chance: pd.Series, language: str = ENGLISH) -> Figure:
+def steam_figure(found: LearnedLimit, chance: pd.Series, language: str = ENGLISH) -> Figure:
     """Draw the chance of a blister over steam [kPa], and what half of the panels bear with its interval."""
     put = partial(words, language=language)
     _, bear, *_ = limit_messages(found)

@@ -24,7 +24,7 @@ from daq.records import ROOM_C
 from softsensor.signals.instrument import START_TOTAL_K
 
 
-class Source(StrEnum):
+class Origin(StrEnum):
     """Where a constant, and with it the doubt of it, comes from."""
 
     STATED = "stated"
@@ -48,7 +48,7 @@ class Doubt:
     value: float
     """Of a table in temperature: its first row's."""
     sd: float
-    source: Source
+    source: Origin
 
     @property
     def relative(self) -> float:
@@ -128,10 +128,10 @@ def constant_doubts(
         before data sheet, material table and guess, never before what is stated or measured.
     """
     found = {key: _stated(header, key, doubt) for key, doubt in _all(header, press)}
-    general = (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS)
+    general = (Origin.DATA_SHEET, Origin.MATERIAL_TABLE, Origin.GUESS)
     for key, share in (learned or {}).items():
         if key in found and found[key].source in general and f"{key}{SD}" not in header:
-            found[key] = Doubt(found[key].value, share * abs(found[key].value), Source.LEARNED)
+            found[key] = Doubt(found[key].value, share * abs(found[key].value), Origin.LEARNED)
     return found
 
 
@@ -139,8 +139,8 @@ def _all(header: Mapping[str, Any], press: Press) -> Iterator[tuple[str, Doubt]]
     """Yield what is uncertain by where it comes from, nothing learned."""
     if press.panel_layers:
         yield from _panel(header)
-    room = _given(header, "ambient.temperature_C", AMBIENT_K, Source.MEASURED)
-    yield "ambient.temperature_C", room or Doubt(ROOM_C, AMBIENT_GUESS_K, Source.GUESS)
+    room = _given(header, "ambient.temperature_C", AMBIENT_K, Origin.MEASURED)
+    yield "ambient.temperature_C", room or Doubt(ROOM_C, AMBIENT_GUESS_K, Origin.GUESS)
     for layer in press.layer:
         if not layer.from_run:
             yield from _layer(header, layer)
@@ -155,27 +155,27 @@ def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
     material = find_material(str(header.get("panel.material", "")))
 
     def doubt(key: str, share: float, name: str) -> Doubt | None:
-        given = _given(header, key, share, Source.DATA_SHEET, relative=True)
+        given = _given(header, key, share, Origin.DATA_SHEET, relative=True)
         if given is None and material is not None:
             listed: Constant = getattr(material, name)
-            return Doubt(listed.value, listed.relative_sd * listed.value, Source.MATERIAL_TABLE)
+            return Doubt(listed.value, listed.relative_sd * listed.value, Origin.MATERIAL_TABLE)
         return given
 
-    thickness = _given(header, "panel.thickness_mm", 1.0, Source.DATA_SHEET)
+    thickness = _given(header, "panel.thickness_mm", 1.0, Origin.DATA_SHEET)
     if thickness is not None:
-        thickness = Doubt(thickness.value, thickness_sd(thickness.value), Source.DATA_SHEET)
+        thickness = Doubt(thickness.value, thickness_sd(thickness.value), Origin.DATA_SHEET)
     rows = {
         "panel.thickness_mm": thickness,
         "panel.density_kg_m3": doubt("panel.density_kg_m3", PANEL_DENSITY, "density"),
         "panel.conductivity_W_mK": doubt("panel.conductivity_W_mK", PANEL_SCATTER, "conductivity"),
         "panel.heat_capacity_J_kgK": doubt("panel.heat_capacity_J_kgK", PANEL_SCATTER, "heat_capacity"),
         "panel.initial_temperature_C": _given(
-            header, "panel.initial_temperature_C", START_TOTAL_K, Source.MEASURED
+            header, "panel.initial_temperature_C", START_TOTAL_K, Origin.MEASURED
         ),
-        "panel.moisture_percent": _given(header, "panel.moisture_percent", MOISTURE_PERCENT, Source.MEASURED),
+        "panel.moisture_percent": _given(header, "panel.moisture_percent", MOISTURE_PERCENT, Origin.MEASURED),
     }
     if rows["panel.moisture_percent"] is None and material is not None:
-        rows["panel.moisture_percent"] = Doubt(*MOISTURE_GUESS, Source.GUESS)
+        rows["panel.moisture_percent"] = Doubt(*MOISTURE_GUESS, Origin.GUESS)
     yield from ((key, doubt) for key, doubt in rows.items() if doubt is not None)
 
 
@@ -216,14 +216,14 @@ def depth_doubt(header: Mapping[str, Any], number: int, at: At) -> Doubt:
 
 def _of_press(header: Mapping[str, Any], key: str, value: float, own: Mapping[str, float], sd: float) -> Doubt:
     """Return a constant of the press file, which may state its deviation and which the header may override."""
-    if (given := _given(header, key, sd, Source.DATA_SHEET)) is not None:
+    if (given := _given(header, key, sd, Origin.DATA_SHEET)) is not None:
         return given
     stated = own.get(key.rpartition(".")[2])
-    return Doubt(value, sd, Source.DATA_SHEET) if stated is None else Doubt(value, float(stated), Source.STATED)
+    return Doubt(value, sd, Origin.DATA_SHEET) if stated is None else Doubt(value, float(stated), Origin.STATED)
 
 
 def _given(
-    header: Mapping[str, Any], key: str, sd: float, source: Source, *, relative: bool = False
+    header: Mapping[str, Any], key: str, sd: float, source: Origin, *, relative: bool = False
 ) -> Doubt | None:
     """Return a number of the header; None where it has none."""
     value = _number(header.get(key))
@@ -235,7 +235,7 @@ def _given(
 def _stated(header: Mapping[str, Any], key: str, doubt: Doubt) -> Doubt:
     """Return a doubt as the header states it, whoever gave the number; one that nobody gave stays a guess."""
     stated = header.get(f"{key}{SD}")
-    source = Source.GUESS if doubt.source is Source.GUESS else Source.STATED
+    source = Origin.GUESS if doubt.source is Origin.GUESS else Origin.STATED
     return doubt if stated is None else Doubt(doubt.value, float(stated), source)
 
 

@@ -40,7 +40,7 @@ ANSWERS = [
         "DiagnosisList",
         "EventList",
     ),
-    *("RunDetail", "Samples", "Estimates", "Fit", "Simulation"),
+    *("RunDetail", "Samples", "Estimates", "Fit", "SimulatedRun"),
 ]
 
 

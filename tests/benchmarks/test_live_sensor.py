@@ -30,7 +30,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.model_files import read_model
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 
 PRESS = parse_press(press_toml())
 MODEL = ModelFile("bench", "lab", {n: FittedValue(v, 0.2 * v) for n, v in BASE_COEFFICIENTS.items()})
@@ -143,7 +143,7 @@ def test_core_before_and_after_diagnosis(tmp_path, capsys):
 
 
 def replay(run, model=MODEL):
-    sensor = LiveSensor(PRESS, run.header, model)
+    sensor = ScanSensor(PRESS, run.header, model)
     names = [n for n in run.columns if not n.startswith("core")]
     table = np.stack([run.columns[n] for n in names], axis=1).tolist()
     estimates, spent = [], []

@@ -31,7 +31,7 @@ from daq.simulated.physics_pressing import Plates
 from softsensor.diagnosis.missing_causes import with_missing_causes
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from tests.calibration.alternatives import NOISES, Rates, filtered, open_loop
 from tests.measured import DATA, PINE_DEPTH, PRESS_RIG, ROOT
 
@@ -73,7 +73,7 @@ class Rows:
 
 def followed(press: Press, run: Run, truth: Array, model: ModelFile | None, hidden: Sequence[str] = ()) -> Rows:
     """Replay a run and hold what was said against the truth (N)."""
-    sensor = LiveSensor(press, run.header, model)
+    sensor = ScanSensor(press, run.header, model)
     unseen = {*hidden, *press.sensors_of(run, "validation")}
     seen = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
     rows, closed, opened = [], np.inf, np.inf

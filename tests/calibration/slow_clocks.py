@@ -21,7 +21,7 @@ from daq.press.header import panel_of
 from daq.press.press_file import press_for_run
 from daq.simulated.campaign import make_campaign
 from softsensor.live.panels import LikelyPanel
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.setup import set_up
 from tests.calibration.wrong_headers import MODEL, PRESS_TIMES_S
 from tests.softsensor.test_live_trust import PLAN, PRESS
@@ -41,7 +41,7 @@ def by_a_slow_clock(press, run):
     return press.model_copy(update={"layer": layers}), replace(run, header=header)
 
 
-class KnowsTheRate(LiveSensor):
+class KnowsTheRate(ScanSensor):
     """Follows what the header says and, as likely beforehand, the same by a slow clock."""
 
     def _begin(self, values):

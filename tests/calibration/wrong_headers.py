@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.simulated.campaign import make_campaign
 from softsensor.heat.model_file import PressedPanel
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from tests.softsensor.test_live_trust import HELD, PLAN, PRESS, held_from, with_columns
 
 MODEL = replace(HELD, panels=(PressedPanel(PLAN.thickness_mm, 8),))
@@ -67,7 +67,7 @@ def pressings(seed, press_time_s):
 
 def followed(run, truth):
     """Return of valid scans half-width and distance beyond the band [K], their share, and nats by `AFTER_S`."""
-    sensor, rows, ahead = LiveSensor(PRESS, run.header, MODEL), [], {}
+    sensor, rows, ahead = ScanSensor(PRESS, run.header, MODEL), [], {}
     for i, time_s in enumerate(run.time_s.tolist()):
         estimate = sensor.update(time_s, {name: float(values[i]) for name, values in run.columns.items()})
         core = truth.core_C[i]

@@ -14,7 +14,7 @@ from daq.records import Panel
 from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics import solve
 from daq.simulated.physics_mesh import LATENT_HEAT, build_knobs, build_mesh, first_state
-from daq.simulated.physics_pressing import DryingLaw, Outside, Platen, Plates, Pressing
+from daq.simulated.physics_pressing import DryingLaw, OutsideFault, Platen, Plates, Pressing
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9
@@ -209,7 +209,7 @@ def test_steam_only_moves_heat_from_the_faces_to_the_core() -> None:
 
 
 def test_condensing_steam_gives_back_as_much_as_it_took() -> None:
-    fault = Outside(wet_heat=30e3, wet_release=30.0, wet_return=60.0)
+    fault = OutsideFault(wet_heat=30e3, wet_release=30.0, wet_return=60.0)
     s = solve(pressing(outside=fault))
     assert abs(balance(s)) < 100.0
 
@@ -312,7 +312,7 @@ def test_effects_reach_the_core_with_sign_and_size_of_an_independent_check(
 
 
 def test_a_lapsing_contact_cools_the_upper_face_and_only_it_at_first() -> None:
-    fault = Outside(lapse_drop=0.5, lapse_from=40.0, lapse_to=55.0)
+    fault = OutsideFault(lapse_drop=0.5, lapse_from=40.0, lapse_to=55.0)
     plain, lapsed = solve(pressing()), solve(pressing(outside=fault))
     t = np.array([39.9, 54.0])
     top = lapsed.at("panel_top", t) - plain.at("panel_top", t)
@@ -323,7 +323,7 @@ def test_a_lapsing_contact_cools_the_upper_face_and_only_it_at_first() -> None:
 
 
 def test_a_delamination_keeps_heat_from_the_core() -> None:
-    fault = Outside(split_resistance=0.015, split_depth=0.0145, split_from=40.0)
+    fault = OutsideFault(split_resistance=0.015, split_depth=0.0145, split_from=40.0)
     plain, split = solve(pressing()), solve(pressing(outside=fault))
     change = split.at("core", TIMES) - plain.at("core", TIMES)
     assert change.min() < -0.5
@@ -339,7 +339,7 @@ def test_a_delamination_keeps_heat_from_the_core() -> None:
         {"effects": {"paper_layer": {"resistance_m2K_W": 5e-4, "capacity_J_m2K": 500.0}}},
         {"effects": {"resin_cure": {"heat_kJ_m2": 20.0}}, "panel": nominal_panel(0.019), "closing_ramp": 0.2},
         {"effects": {"contact_buildup": {"deficit": 0.7, "time_constant_s": 5.0}}},
-        {"outside": Outside(wet_heat=30e3, wet_release=30.0, wet_return=60.0)},
+        {"outside": OutsideFault(wet_heat=30e3, wet_release=30.0, wet_return=60.0)},
     ],
 )
 def test_fast_and_accurate_mode_agree_within_20_millikelvin(changes: dict[str, object]) -> None:

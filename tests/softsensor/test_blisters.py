@@ -11,7 +11,7 @@ import softsensor
 from api.cli import main
 from daq.press.resin_file import LimitsTable, parse_resin
 from daq.records import InputError
-from softsensor.opening.blisters import SteamLimit, believed_limit, learn_limit, limit_messages
+from softsensor.opening.blisters import LearnedLimit, believed_limit, learn_limit, limit_messages
 from softsensor.opening.limits import STEAM, Normal, PanelState, broken
 
 READ_SD = 0.12
@@ -43,7 +43,7 @@ def test_later_panels_blister_as_often_as_is_said_once_thirty_were_marked() -> N
     stated, learned = learn_limit(*panels(rng, 0, 70.0, 0.15)), learn_limit(*panels(rng, 30, 70.0, 0.15))
     steam, blistered = panels(rng, 500, 70.0, 0.15)
 
-    def brier(limit: SteamLimit) -> float:
+    def brier(limit: LearnedLimit) -> float:
         return float(np.mean((limit.chance(steam) - blistered) ** 2))
 
     assert brier(learned) < 0.75 * brier(stated)
@@ -129,7 +129,7 @@ def test_marks_count_once_however_often_what_they_taught_was_written_into_the_re
     file = (SAMPLES / "resins/melamine_formaldehyde.toml").read_text(encoding="utf-8")
     steam, blistered = panels(np.random.default_rng(5), 30, 80.0, 0.15)
 
-    def learned(limits: str) -> SteamLimit:
+    def learned(limits: str) -> LearnedLimit:
         return learn_limit(
             steam, blistered, *believed_limit(parse_resin(file.replace("[limits]\n", f"[limits]\n{limits}")))
         )

@@ -12,7 +12,7 @@ from softsensor.heat.readout import Reader
 from softsensor.heat.timing import ramp
 from softsensor.jobs.warm_up import warm_up
 from softsensor.live import block_steps, channel_steps, kalman_steps, march_steps, mixture_steps
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from tests.reached import reached
 
 MODULES = (
@@ -40,7 +40,7 @@ def test_no_scan_of_a_live_run_waits_for_a_compiler_once_warmed_up(lab_press, ma
         ),
     )
     for model in (None, ModelFile("known", "lab", values, wet)):
-        sensor = LiveSensor(lab_press, run.header, model)
+        sensor = ScanSensor(lab_press, run.header, model)
         for i, time_s in enumerate(run.time_s.tolist()):
             values = {name: float(x[i]) for name, x in run.columns.items()}
             sensor.update(time_s, values | {"top_1": 80.0, "bottom_1": 79.0, "closed": float(20 <= time_s < 45)})

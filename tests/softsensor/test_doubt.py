@@ -9,7 +9,7 @@ from daq.press.press_file import parse_press, press_for_run
 from daq.press.resin_file import read_resin
 from daq.records import Run
 from softsensor.live.curing import resin_setup
-from softsensor.signals.doubt import Source, constant_doubts, one_product
+from softsensor.signals.doubt import Origin, constant_doubts, one_product
 
 PRESS = """
 [[layer]]
@@ -47,30 +47,33 @@ def doubts(header, learned=None):
 
 def test_a_deviation_beside_a_number_goes_before_every_class():
     found = doubts({})
-    assert (found["panel.conductivity_W_mK"].sd, found["panel.conductivity_W_mK"].source) == (0.004, Source.STATED)
+    assert (found["panel.conductivity_W_mK"].sd, found["panel.conductivity_W_mK"].source) == (
+        0.004,
+        Origin.STATED,
+    )
     assert (found["layer.plate.thickness_mm"].sd, found["layer.plate.thickness_mm"].source) == (
         0.02,
-        Source.STATED,
+        Origin.STATED,
     )
     assert found["boundary.top.incident_W_m2"].sd == 300.0
 
 
 def test_a_flux_of_the_run_is_not_as_sure_as_the_press_files_was_stated_to_be():
     found = doubts({"boundary.top.incident_W_m2": 60000.0})["boundary.top.incident_W_m2"]
-    assert (found.value, found.sd, found.source) == (60000.0, pytest.approx(1200.0), Source.DATA_SHEET)
+    assert (found.value, found.sd, found.source) == (60000.0, pytest.approx(1200.0), Origin.DATA_SHEET)
     stated = doubts({"boundary.top.incident_W_m2": 60000.0, "boundary.top.incident_W_m2.sd": 900.0})
     assert (stated["boundary.top.incident_W_m2"].sd, stated["boundary.top.incident_W_m2"].source) == (
         900.0,
-        Source.STATED,
+        Origin.STATED,
     )
 
 
 @pytest.mark.parametrize(
     ("key", "value", "source"),
     [
-        ("panel.density_kg_m3", 740.0, Source.STATED),
-        ("panel.moisture_percent", 7.5, Source.GUESS),
-        ("ambient.temperature_C", 23.0, Source.GUESS),
+        ("panel.density_kg_m3", 740.0, Origin.STATED),
+        ("panel.moisture_percent", 7.5, Origin.GUESS),
+        ("ambient.temperature_C", 23.0, Origin.GUESS),
     ],
 )
 def test_a_standard_deviation_counts_where_the_material_table_or_nobody_gives_the_number(key, value, source):
@@ -82,10 +85,14 @@ def test_a_standard_deviation_counts_where_the_material_table_or_nobody_gives_th
 
 def test_a_number_of_the_material_table_is_worth_what_the_table_says():
     density = doubts({})["panel.density_kg_m3"]
-    assert (density.value, density.relative, density.source) == (740.0, pytest.approx(0.2), Source.MATERIAL_TABLE)
+    assert (density.value, density.relative, density.source) == (
+        740.0,
+        pytest.approx(0.2),
+        Origin.MATERIAL_TABLE,
+    )
     given = doubts({"panel.density_kg_m3": 731.0})["panel.density_kg_m3"]
     assert given.relative < 0.05
-    assert given.source is Source.DATA_SHEET
+    assert given.source is Origin.DATA_SHEET
 
 
 def test_what_runs_have_shown_goes_before_a_class_and_never_before_what_is_stated_or_measured():
@@ -97,9 +104,9 @@ def test_what_runs_have_shown_goes_before_a_class_and_never_before_what_is_state
     )
     found = doubts({}, dict.fromkeys(keys, 0.08))
     assert found["panel.density_kg_m3"].sd == pytest.approx(0.08 * 740.0)
-    assert found["panel.density_kg_m3"].source is Source.LEARNED
-    assert found["panel.conductivity_W_mK"].source is Source.STATED
-    assert found["panel.initial_temperature_C"].source is Source.MEASURED
+    assert found["panel.density_kg_m3"].source is Origin.LEARNED
+    assert found["panel.conductivity_W_mK"].source is Origin.STATED
+    assert found["panel.initial_temperature_C"].source is Origin.MEASURED
     assert "boundary.bottom.none" not in found
 
 
@@ -110,8 +117,8 @@ def test_a_table_in_temperature_is_doubted_as_a_whole():
 
 def test_what_nobody_gave_is_a_guess_and_what_the_rig_lacks_is_not_there():
     found = doubts({})
-    assert found["ambient.temperature_C"].source is Source.GUESS
-    assert found["panel.moisture_percent"].source is Source.GUESS
+    assert found["ambient.temperature_C"].source is Origin.GUESS
+    assert found["panel.moisture_percent"].source is Origin.GUESS
     bar = parse_press(PRESS.replace("from_run = true", "thickness_mm = 9.0\nconductivity_W_mK = 1.0\n"
                                     "density_kg_m3 = 900.0\nheat_capacity_J_kgK = 800.0"))  # fmt: skip
     assert not [key for key in constant_doubts({}, bar) if key.startswith("panel.")]
@@ -132,7 +139,7 @@ def test_steam_takes_the_moisture_that_the_constants_have(header):
 
 def test_steam_of_a_panel_whose_moisture_nobody_gave_rests_on_no_guess():
     resin = read_resin(Path("deploy/resins/urea_formaldehyde.toml"))
-    assert doubts({})["panel.moisture_percent"].source is Source.GUESS
+    assert doubts({})["panel.moisture_percent"].source is Origin.GUESS
     for sd in ({}, {"panel.moisture_percent.sd": 0.7}):  # how sure a number is makes none
         assert np.isnan(resin_setup(resin, HEADER | sd, parse_press(PRESS)).moisture).all()
 

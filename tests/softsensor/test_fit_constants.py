@@ -16,7 +16,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import Scatter
 from softsensor.jobs.campaign import fit_runs
 from softsensor.jobs.model_in_force import combined_model
-from softsensor.signals.doubt import Source
+from softsensor.signals.doubt import Origin
 from softsensor.signals.moments import moments_of
 from tests.panels import panel_stated
 
@@ -75,7 +75,7 @@ def test_density_and_heat_capacity_are_one_unknown():
 
 
 def _known(value, sd, prior=0.1):
-    return {K: ConstantFit(1.0, prior, Source.DATA_SHEET, value, sd)}
+    return {K: ConstantFit(1.0, prior, Origin.DATA_SHEET, value, sd)}
 
 
 def test_scatter_of_constants_known_exactly_is_their_second_moment():
@@ -99,7 +99,7 @@ def test_what_all_panels_are_off_together_is_no_scatter_between_them():
 
 def test_scatter_of_constants_that_no_run_knows_stays_what_it_was():
     """20 % for the product and 5.5 % for its panels; of a thickness what it was in doubt by."""
-    unknown = ConstantFit(1.0, 0.1, Source.DATA_SHEET, 1.07, 0.1)
+    unknown = ConstantFit(1.0, 0.1, Origin.DATA_SHEET, 1.07, 0.1)
     found = scatter_of({K: unknown, "panel.thickness_mm": unknown} for _ in range(5))
     assert found[K].panel == pytest.approx(0.055, rel=1e-3)
     assert found[K].sd == pytest.approx(np.hypot(0.2, 0.055), rel=1e-3)
@@ -131,7 +131,7 @@ def test_the_live_sensors_model_learns_the_scatter_from_the_fits_of_the_newest_r
 
 
 def test_what_is_stated_of_a_panel_says_nothing_of_the_others():
-    stated = ConstantFit(1.0, 0.02, Source.STATED, 1.01, 0.01)
+    stated = ConstantFit(1.0, 0.02, Origin.STATED, 1.01, 0.01)
     assert scatter_of([{K: stated}]) == {}
 
 

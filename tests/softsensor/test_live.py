@@ -21,7 +21,7 @@ from softsensor.live import march_steps
 from softsensor.live.march_steps import PressTiming
 from softsensor.live.passes import Pass
 from softsensor.live.priors import plans_for
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.setup import linearise, set_up
 from softsensor.live.validity import InvalidReason
 from tests.reached import reached
@@ -34,7 +34,7 @@ PLAN = Plan(panel_spread=0.0, rate_hz=2.0, thickness_mm=16.0, start_before_s=6.0
 
 
 def replay(run, model=MODEL, without=(), rows=None, press=PRESS):
-    sensor = LiveSensor(press, run.header, model)
+    sensor = ScanSensor(press, run.header, model)
     names = [c for c in run.columns if c not in without]
     table = np.stack([run.columns[c] for c in names], axis=1)[:rows].tolist()
     return [
@@ -138,7 +138,7 @@ def test_a_run_cut_short_gives_the_same_rows(plain, estimates):
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0])
 def test_numbers_of_numpy_say_what_plain_ones_say(rate_hz):
     run = make_campaign(6, 1, None, Plan(rate_hz=rate_hz))[0][0]
-    sensor = LiveSensor(PRESS, run.header, MODEL)
+    sensor = ScanSensor(PRESS, run.header, MODEL)
     estimates = [
         sensor.update(t, {name: values[i] for name, values in run.columns.items()})
         for i, t in enumerate(run.time_s)

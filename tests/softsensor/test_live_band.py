@@ -18,7 +18,7 @@ from softsensor.live.budget import KINDS, band_from, narrowed
 from softsensor.live.mixture import CHANGED, Mixture, by_size, mix, model_variance
 from softsensor.live.mixture_steps import Components, quantile, without_causes
 from softsensor.live.possible import Possible
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.setup import set_up
 from softsensor.live.validity import InvalidReason
 from softsensor.signals.doubt import PANEL_SCATTER
@@ -39,7 +39,7 @@ def pressing():
 
 
 def followed(run, model=MODEL):
-    sensor = LiveSensor(PRESS, run.header, model)
+    sensor = ScanSensor(PRESS, run.header, model)
     names = [c for c in run.columns if not c.startswith("core")]
     table = np.stack([run.columns[c] for c in names], axis=1).tolist()
     estimates = [
@@ -248,7 +248,7 @@ def test_a_start_that_no_face_shows_is_known_as_its_sensor_or_as_the_header_says
     half = {}
     for sd in (None, 0.2):
         header = WOOD if sd is None else WOOD | {"panel.initial_temperature_C.sd": sd}
-        estimate = LiveSensor(SLICE, header).update(0.0, {"hot": 20.0})
+        estimate = ScanSensor(SLICE, header).update(0.0, {"hot": 20.0})
         half[sd] = 0.5 * (estimate.core_high_C - estimate.core_low_C)
     assert half[None] == pytest.approx(1.96 * np.sqrt(0.75**2 + 0.3**2 + 0.1**2), rel=0.02)
     assert half[0.2] == pytest.approx(1.96 * np.hypot(0.2, 0.1), rel=0.02)
@@ -464,7 +464,7 @@ def bar_at_rest(loss):
 
     The truth is the fin's closed form: its middle is above the room by the ends' mean over cosh(mL/2).
     """
-    sensor = LiveSensor(
+    sensor = ScanSensor(
         parse_press(BAR.format(loss=loss)),
         {"ambient.temperature_C": AMBIENT},
         ModelFile("test", "bar", {}, missing=MissingCauses(8, 0.9, 0.0, {})),

@@ -27,7 +27,7 @@ def pressing(rate=2.0, seed=92, cause=None):
 
 
 def replayed(run):
-    live = sensor.LiveSensor(PRESS, run.header, MODEL)
+    live = sensor.ScanSensor(PRESS, run.header, MODEL)
     names = [name for name in run.columns if not name.startswith("core")]
     rows = zip(*(run.columns[name].tolist() for name in names), strict=True)
     return [

@@ -15,7 +15,7 @@ from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.heat.implicit_steps import Stack
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.live.inside import heat_taken_up, look_inside
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 
 PRESS = parse_press(press_toml())
 MODEL = ModelFile("test", "lab", {n: FittedValue(v, 0.15 * v) for n, v in BASE_COEFFICIENTS.items()})
@@ -34,7 +34,7 @@ def pressing():
 def follow(run, **wishes):
     """Feed a run and return, scan by scan: time, state, estimate, what is inside, what lies ahead."""
     header = dict(run.header) | {f"setting.core_{name}_C": value for name, value in wishes.items()}
-    sensor = LiveSensor(PRESS, header, MODEL)
+    sensor = ScanSensor(PRESS, header, MODEL)
     rows = []
     for i, t in enumerate(run.time_s.tolist()):
         estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
@@ -166,7 +166,7 @@ def test_the_middle_of_the_profile_is_the_core_that_is_told(followed):
 
 def test_filters_count_inside_the_panel_by_their_shares(pressing):
     run, _ = pressing
-    sensor = LiveSensor(PRESS, run.header, MODEL)
+    sensor = ScanSensor(PRESS, run.header, MODEL)
     for i, t in enumerate(run.time_s[:60].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
     current = sensor._run.passes.current
@@ -186,7 +186,7 @@ def test_filters_count_inside_the_panel_by_their_shares(pressing):
 
 def test_nothing_is_foreseen_where_nothing_is_wanted(pressing):
     run, _ = pressing
-    sensor = LiveSensor(PRESS, run.header, MODEL)
+    sensor = ScanSensor(PRESS, run.header, MODEL)
     for i, t in enumerate(run.time_s[:60].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
@@ -227,7 +227,7 @@ def test_a_channel_that_stands_still_beside_six_is_left_out_and_a_sound_one_is_n
     dead = next(name for name in columns if name.startswith("top_"))
     hot = run.time_s > 40.0
     columns[dead][hot] = columns[dead][np.argmax(hot)] - 70.0
-    sensor = LiveSensor(PRESS, run.header, MODEL)
+    sensor = ScanSensor(PRESS, run.header, MODEL)
     found = []
     for i, t in enumerate(run.time_s[: np.argmax(run.time_s > 50.0)].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in columns.items()})
@@ -247,7 +247,7 @@ def test_a_single_bad_reading_leaves_no_channel_out(pressing):
     columns = {name: values.copy() for name, values in run.columns.items()}
     name = next(name for name in columns if name.startswith("top_"))
     columns[name][np.searchsorted(run.time_s, [10.0, 40.0, 45.0])] += 80.0
-    sensor = LiveSensor(PRESS, run.header, MODEL)
+    sensor = ScanSensor(PRESS, run.header, MODEL)
     for i, t in enumerate(run.time_s[run.time_s < 50.0].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in columns.items()})
         assert sensor.left_out == {}
@@ -259,7 +259,7 @@ def test_without_a_panel_in_the_press_no_channel_departs_from_its_neighbours(pre
     before = run.time_s < truth.moments.inserted_s - 2.0
     for name in ("top_1", "top_2"):
         scattered[name][before] += 8.0 * (-1.0) ** np.arange(before.sum())
-    sensor = LiveSensor(PRESS, run.header, MODEL)
+    sensor = ScanSensor(PRESS, run.header, MODEL)
     for i in np.flatnonzero(before).tolist():
         estimate = sensor.update(
             float(run.time_s[i]), {name: float(values[i]) for name, values in scattered.items()}

@@ -20,9 +20,9 @@ from softsensor.live.panels import (
     panel_chances,
     panel_remark,
 )
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.validity import InvalidReason
-from softsensor.signals.doubt import Source, thickness_sd
+from softsensor.signals.doubt import Origin, thickness_sd
 from softsensor.signals.pressed import all_products, products
 from tests.softsensor.test_live_trust import HELD, MODEL, PLAN, PRESS
 
@@ -86,7 +86,7 @@ def test_panels_within_the_norm_s_tolerance_are_one_product():
 
 
 def test_every_way_to_a_model_keeps_which_panels_there_were():
-    fits = [{KEY: ConstantFit(mm, 0.1, Source.DATA_SHEET, mm, 0.1)} for mm in (16.0, 16.0, 19.0)]
+    fits = [{KEY: ConstantFit(mm, 0.1, Origin.DATA_SHEET, mm, 0.1)} for mm in (16.0, 16.0, 19.0)]
     wanted = (PressedPanel(16.0, 2), PressedPanel(19.0, 1))
     assert with_constants_of(MODEL, fits).panels == wanted
     stored = [{"coefficients": {}, "constants": {KEY: fit[KEY].as_json()}} for fit in fits]
@@ -104,7 +104,7 @@ def pressing():
 
 def followed(run, truth, panels):
     """Return by how much the truth lies beyond each valid band [K], all estimates, and the last mixture."""
-    sensor = LiveSensor(PRESS, run.header, replace(HELD, panels=panels))
+    sensor = ScanSensor(PRESS, run.header, replace(HELD, panels=panels))
     estimates = [
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         for i, t in enumerate(run.time_s.tolist())

@@ -25,7 +25,7 @@ from softsensor.live.consistency import (
     place_insertion,
     start_error,
 )
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.validity import InvalidReason
 from tests.editions import edition
 
@@ -47,7 +47,7 @@ def pressing():
 
 
 def replay(run, model=MODEL):
-    sensor = LiveSensor(PRESS, run.header, model)
+    sensor = ScanSensor(PRESS, run.header, model)
     return [
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         for i, t in enumerate(run.time_s.tolist())
@@ -100,7 +100,7 @@ def test_a_recorder_that_begins_in_the_middle_of_a_pressing_gives_no_core_that_i
     seen, believed = 0, 0
     for at_s in (*waiting, m.closed_s + 10.0, m.opened_s - 1.0, m.opened_s + 2.0):
         header, rows = recorded_from(run, at_s)
-        sensor = LiveSensor(PRESS, header, HELD)
+        sensor = ScanSensor(PRESS, header, HELD)
         for row in rows:
             values = {name: float(column[row]) for name, column in run.columns.items()}
             try:
@@ -492,7 +492,7 @@ def test_scans_ten_seconds_apart_are_no_holes_that_contradict_the_model_for_good
     """A fifth too little conductivity meets the first scans of a face heated at once badly, later ones well."""
     time_s = np.arange(0.0, 7200.0, 10.0)
     inside, core = heated_board(time_s, 0.040, 0.025, conductivity=0.12)
-    sensor = LiveSensor(BOARD, {"ambient.temperature_C": 20.0})
+    sensor = ScanSensor(BOARD, {"ambient.temperature_C": 20.0})
     estimates = [
         sensor.update(t, {"hot": 220.0, "inside": v}) for t, v in zip(time_s.tolist(), inside, strict=True)
     ]

@@ -15,7 +15,7 @@ from daq.simulated.physics import solve
 from deploy.examples.when_to_open import pressings
 from deploy.examples.when_to_open.pressings import LEAST, MODEL, PAPER, PLAN, PRESS, Summary, headed
 from softsensor.live.replay import replay
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from tests.editions import edition
 
 RESIN = pressings.resin()
@@ -128,7 +128,7 @@ def test_limits_hold_at_opening_with_the_promised_share(hidden):
 
 def test_the_moment_foreseen_is_the_moment_at_which_leave_is_given(one):
     run, truth, found = one
-    sensor, foreseen, given = LiveSensor(PRESS, headed(run).header, MODEL, RESIN), [], None
+    sensor, foreseen, given = ScanSensor(PRESS, headed(run).header, MODEL, RESIN), [], None
     for i, t in enumerate(run.time_s.tolist()):
         estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
@@ -153,7 +153,7 @@ def test_the_moment_foreseen_is_the_moment_at_which_leave_is_given(one):
 
 def test_no_forecast_is_of_the_press_as_it_was_before_it_closed():
     ((run, truth),) = make_campaign(501, 1, None, replace(PLAN, rate_hz=10.0))
-    sensor, foreseen = LiveSensor(PRESS, headed(run).header, MODEL, RESIN), []
+    sensor, foreseen = ScanSensor(PRESS, headed(run).header, MODEL, RESIN), []
     for i, t in enumerate(run.time_s[run.time_s < truth.moments.closed_s + 4.0].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
@@ -165,7 +165,7 @@ def test_no_forecast_is_of_the_press_as_it_was_before_it_closed():
 def test_a_limit_that_cannot_be_met_is_named(one):
     run, truth, _ = one
     cold = RESIN.model_copy(update={"limits": LimitsTable(cure_least=0.85, core_most_C=15.0)})
-    sensor = LiveSensor(PRESS, headed(run).header, MODEL, cold)
+    sensor = ScanSensor(PRESS, headed(run).header, MODEL, cold)
     for i, t in enumerate(run.time_s[run.time_s < truth.moments.closed_s + 20.0].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
     sensor.look_ahead()

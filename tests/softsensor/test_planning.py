@@ -38,7 +38,7 @@ from softsensor.planning.plan import plan
 from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
 from softsensor.planning.summary import plan_messages, point_message
 from softsensor.signals.digest import digest_run
-from softsensor.signals.doubt import Doubt, Source
+from softsensor.signals.doubt import Doubt, Origin
 from softsensor.signals.moments import moments_seen
 from tests.screens import flooding, text_of
 
@@ -209,11 +209,11 @@ def test_a_range_that_cannot_be_is_refused(given: dict[str, tuple[float, float]]
 
 
 def test_a_panels_own_scatter_is_its_own_and_the_rest_of_its_tables_doubt_is_shared() -> None:
-    own, common = shares("panel.conductivity_W_mK", Doubt(0.1, 0.02, Source.MATERIAL_TABLE))
+    own, common = shares("panel.conductivity_W_mK", Doubt(0.1, 0.02, Origin.MATERIAL_TABLE))
     assert own == pytest.approx(0.055 / 0.2)
     assert own**2 + common**2 == pytest.approx(1.0)
-    assert shares("panel.conductivity_W_mK", Doubt(0.1, 0.005, Source.DATA_SHEET)) == (1.0, 0.0)
-    assert shares("layer.plate_top.thickness_mm", Doubt(10.0, 0.1, Source.DATA_SHEET)) == (0.0, 1.0)
+    assert shares("panel.conductivity_W_mK", Doubt(0.1, 0.005, Origin.DATA_SHEET)) == (1.0, 0.0)
+    assert shares("layer.plate_top.thickness_mm", Doubt(10.0, 0.1, Origin.DATA_SHEET)) == (0.0, 1.0)
 
 
 def test_the_command_says_what_is_open_and_writes_it(

@@ -35,7 +35,7 @@ from softsensor.jobs.guarded import Guarded
 from softsensor.jobs.live_service import Follower, _details
 from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
 from softsensor.jobs.run_fits import RunFits
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.validity import InvalidReason
 from tests.daq.test_kills import is_zombie
 from tests.daq.test_store_unreadable import tear
@@ -270,7 +270,7 @@ def test_a_resin_file_counts_as_it_stands_when_a_pressing_begins(store, fitter, 
 def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
     run, _ = pressing
     wrong = {"panel.initial_temperature_C": run.header["panel.initial_temperature_C"] + 20.0}
-    sensor = LiveSensor(PRESS, dict(run.header) | wrong | {"setting.core_target_C": 60.0})
+    sensor = ScanSensor(PRESS, dict(run.header) | wrong | {"setting.core_target_C": 60.0})
     foreseen = []
     for i, t in enumerate(run.time_s[:60].tolist()):
         estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
@@ -775,7 +775,7 @@ POISONED = 60
 @pytest.fixture
 def breaking(monkeypatch, pressing):
     """Where the sensor breaks: at one scan; at all from it on where it was begun before; nowhere."""
-    update, where, at = LiveSensor.update, {"scan": POISONED, "for_good": False}, []
+    update, where, at = ScanSensor.update, {"scan": POISONED, "for_good": False}, []
 
     def breaks(sensor, time_s, values):
         begun = vars(sensor).setdefault("begun", time_s)
@@ -785,7 +785,7 @@ def breaking(monkeypatch, pressing):
             raise ZeroDivisionError("a fault of ours")
         return update(sensor, time_s, values)
 
-    monkeypatch.setattr(LiveSensor, "update", breaks)
+    monkeypatch.setattr(ScanSensor, "update", breaks)
     return where
 
 
@@ -895,7 +895,7 @@ def _stepped_at(guarded, now):
 
 def test_no_scan_goes_through_the_sensor_twice_because_the_journal_was_away(store, fitter, pressing, monkeypatch):
     run, _ = pressing
-    update, newest, twice = LiveSensor.update, {}, []
+    update, newest, twice = ScanSensor.update, {}, []
 
     def taking(sensor, time_s, values):
         if newest.get(sensor, -1e9) >= time_s:
@@ -903,7 +903,7 @@ def test_no_scan_goes_through_the_sensor_twice_because_the_journal_was_away(stor
         newest[sensor] = time_s
         return update(sensor, time_s, values)
 
-    monkeypatch.setattr(LiveSensor, "update", taking)
+    monkeypatch.setattr(ScanSensor, "update", taking)
     loose = run.columns["top_1"].copy()
     loose[POISONED:] -= 60.0
     sometimes = Sometimes(store)

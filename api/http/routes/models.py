@@ -23,8 +23,7 @@ from api.answers.schemas import (
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import Cursor, PageSize, PressesDep, PressName, StoreDep, Writer
 from daq.records import InputError
-from daq.store.records import DiagnosisRecord as StoredDiagnosis
-from daq.store.records import ModelRecord, Page, StoredNight
+from daq.store.records import ModelRecord, Page, StoredDiagnosis, StoredNight
 from daq.store.store import Store
 from daq.words import say
 from daq.words.message import ENGLISH, languages

@@ -17,7 +17,7 @@ from starlette.background import BackgroundTask
 from api.answers.decimation import column_values, kept_rows, number_or_none
 from api.answers.health import installed_version
 from api.answers.records import run_detail, run_summaries
-from api.answers.schemas import Estimates, Fit, QualitySpan, RunDetail, RunList, Samples
+from api.answers.schemas import Estimates, Fit, RunDetail, RunList, SampleQuality, Samples
 from api.http.caching import entity_tag, same_entity
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import BeganDep, PageDep, PressName, StoreDep, existing_run
@@ -139,7 +139,7 @@ def get_samples(
         decimated=len(shown.time_s) < len(whole.time_s),
         time_s=shown.time_s.tolist(),
         columns={name: column_values(values) for name, values in shown.columns.items()},
-        quality=[QualitySpan(**asdict(span)) for span in spans_of(whole)],
+        quality=[SampleQuality(**asdict(span)) for span in spans_of(whole)],
     )
     return JSONResponse(samples.model_dump())
 

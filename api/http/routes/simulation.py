@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Response
 from api.answers.decimation import column_values, decimate
 from api.answers.kept import Kept
 from api.answers.records import phases_of
-from api.answers.schemas import Simulation
+from api.answers.schemas import SimulatedRun
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import StoreDep, existing_run
 from daq.press.press_file import parse_press, press_for_run
@@ -67,7 +67,7 @@ def _simulated(store: Store, record: RunRecord) -> tuple[Simulated, RunModel]:
 @router.get(
     "/runs/{run}/simulation", operation_id="get_simulation", summary="The run simulated with its coefficients"
 )
-def get_simulation(store: StoreDep, run: str) -> Simulation:
+def get_simulation(store: StoreDep, run: str) -> SimulatedRun:
     """Return simulated and measured temperatures at each sensor position, and the profile over time."""
     from softsensor.heat.step_terms import BOILING_C  # loads slowly
 
@@ -75,7 +75,7 @@ def get_simulation(store: StoreDep, run: str) -> Simulation:
     table = {f"s {k}": v for k, v in simulated.places.items()}
     table |= {f"m {k}": v for k, v in simulated.measured.items()} | {"core": simulated.core}
     time_s, kept = decimate(simulated.time_s, table, SHOWN_POINTS)
-    return Simulation(
+    return SimulatedRun(
         run=run,
         model_version=known.version,
         time_s=[round(t, 3) for t in time_s.tolist()],

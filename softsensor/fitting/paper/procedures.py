@@ -219,7 +219,7 @@ class Combination:
 
 
 @dataclass(frozen=True, eq=False)
-class Reproduction:
+class SolverComparison:
     """The table, and the cost along one coefficient for either solver."""
 
     table: tuple[Combination, ...]
@@ -294,7 +294,7 @@ def reproduce(
     seed: int = 1,
     clock: Callable[[], float],
     progress: Callable[[int], None] | None = None,
-) -> Reproduction:
+) -> SolverComparison:
     """Run the four combinations; arguments as `softsensor.reproduce` explains them."""
     rng = np.random.default_rng(seed)
     results: dict[tuple[Solver, Slopes], list[_Outcome]] = {}
@@ -311,7 +311,7 @@ def reproduce(
         if progress is not None:
             progress(number)
     table = _table(results, [truth for _, _, truth in measurements], problem.names, judged)
-    return Reproduction(table, *_cost_along(problem, lines, results[Solver.EXACT, Slopes.EXACT][-1].x))
+    return SolverComparison(table, *_cost_along(problem, lines, results[Solver.EXACT, Slopes.EXACT][-1].x))
 
 
 @dataclass(frozen=True)

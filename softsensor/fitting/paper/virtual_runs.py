@@ -8,7 +8,7 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.fitting.paper.procedures import Reproduction, reproduce
+from softsensor.fitting.paper.procedures import SolverComparison, reproduce
 from softsensor.heat.model import ThermalModel
 
 MEASUREMENTS, SEED = 20, 77
@@ -20,7 +20,7 @@ def reproduce_paper(
     *,
     clock: Callable[[], float],
     progress: Callable[[int], None] | None = None,
-) -> Reproduction:
+) -> SolverComparison:
     """Make the measurements (2 rows a second, every sensor sound, moments known) and compare."""
     plan = Plan(
         rate_hz=2.0,
