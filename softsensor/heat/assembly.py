@@ -66,7 +66,7 @@ class Layout:
 
     @staticmethod
     def of(press: Press, mesh: Mesh, panel: Panel | None, ambient: float) -> Layout:
-        """Lay out a press and its panel on a mesh."""
+        """Lay out a press and its panel on a mesh; `ambient` is the room's temperature. [°C]"""
         n = len(mesh.dx)
         k, c, k_table, c_table, tables = _constants(press, mesh, panel)
         rows = max([len(t) for t in tables], default=1)
@@ -105,7 +105,7 @@ class Layout:
         )
 
     def stack(self, mesh: Mesh, terms: Terms, values: Mapping[str, float], ambient: float) -> implicit_steps.Stack:
-        """Return the stack at parameter values."""
+        """Return the stack at parameter values; `ambient` is the room's temperature. [°C]"""
         k, c = self.k, self.c
         if terms.paper is not None and self.paper.any():
             k, c = k.copy(), c.copy()

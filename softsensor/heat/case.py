@@ -170,7 +170,7 @@ class Case:
         )
 
     def clock(self, times: Array, *, mean: bool = False) -> Clock:
-        """Return the press's states at some times, or their means between them."""
+        """Return the press's states at some times, or their means between them. [s]"""
         start = float(self.edges[0])
         return Clock.of(self.moments, times, start, mean=mean, has_states=self.press.has_states)
 
@@ -309,7 +309,10 @@ def _mesh(press: Press, panel: Panel | None, *, paper: bool, fineness: float) ->
 
 
 def step_means(time_s: Array, values: Array, edges: Array) -> Array:
-    """Return the mean over each step and change across it of a series joined by straight lines (steps, 2)."""
+    """Return the mean over each step and change across it of a series joined by straight lines (steps, 2).
+
+    `edges` are on the clock of `time_s`; what is returned has the unit of the series.
+    """
     area = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (values[1:] + values[:-1]) / 2)])
     at = np.interp(edges, time_s, values)
     i = np.clip(np.searchsorted(time_s, edges, side="right") - 1, 0, max(len(time_s) - 2, 0))

@@ -109,6 +109,8 @@ def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
 def run_exact(grid: Grid, build: Build, places: Array, *, fields: bool = False) -> implicit_steps.Record:
     """Solve a linear model built on the grid's sparse case; return what is read at its step edges.
 
+    `places` are the weights that read the cells (m, n).
+
     Raises
     ------
     InputError
@@ -169,7 +171,10 @@ class _March:
             self.fields[a : b + 1] = record.fields
 
     def steady(self, span: Span, w: Array, dw: Array) -> None:
-        """Take exact steps with constant contacts and so constant coefficients."""
+        """Take exact steps with constant contacts and so constant coefficients.
+
+        `w` and `dw` are the coefficients and their tangents as `step_terms` has them, each with its own unit.
+        """
         modes = _decouple(w, self.build.stack.ambient)
         names, m = self.build.request.names, len(self.places)
         read = np.zeros((max(m, 3), len(modes.rates)))

@@ -68,7 +68,7 @@ class Resistance:
 
     @property
     def least(self) -> float:
-        """Places are one where there is less between them."""
+        """Places are one where there is less between them, in the unit of `cells`."""
         return 1e-6 * float(np.diff(self.cells).min())
 
     @staticmethod

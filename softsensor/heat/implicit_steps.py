@@ -87,7 +87,7 @@ class Record(NamedTuple):
 
 
 def empty_record(places: Array, steps: int, p: int, *, whole: bool) -> Record:
-    """Return room for so many steps and parameters, and for all cells if `whole`."""
+    """Return room for so many steps and parameters of places read by weights (m, n); for all cells if `whole`."""
     m, n = places.shape
     fields = np.empty((steps + 1 if whole else 0, n))
     return Record(places, np.empty((steps + 1, m)), np.empty((p, steps + 1, m)), fields)

@@ -150,7 +150,7 @@ class ThermalModel:
             Longest step, and step around a switch; where nothing outside is measured, steps grow beyond the
             longest with the time since the last switch (`heat.case.LATER`). [s]
         growth
-            Of a step over the one before, after a switch.
+            Factor of a step over the one before, after a switch.
 
         Raises
         ------

@@ -29,7 +29,7 @@ class Reader:
 
     @staticmethod
     def at(edges: Array, times: Array, *, slope: bool = False) -> Reader:
-        """Prepare to read values, or slopes in time, at `times`."""
+        """Prepare to read values at edges of steps, or their slopes in time, at `times`. [s]"""
         times = np.clip(times, edges[0], edges[-1])
         last = len(edges) - 1
         i = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, last - 1)

@@ -52,7 +52,7 @@ class Clock:
 
     @staticmethod
     def of(moments: Moments, times: Array, start: float, *, mean: bool, has_states: bool) -> Clock:
-        """Prepare for a run that starts at `start`."""
+        """Prepare for times of a run that starts at `start`. [s]"""
         inside = np.isfinite(moments.inserted_s) and moments.inserted_s > start
         present, _, _ = ramp(times, moments.inserted_s if inside else -np.inf, HANDLING_RAMP_S, mean=mean)
         if np.isfinite(moments.removed_s):

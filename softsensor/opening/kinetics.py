@@ -82,7 +82,7 @@ class Kinetics:
         return float(np.exp(np.interp(math.log(cure / (1.0 - cure)), self.logit, self.log_time, right=math.inf)))
 
     def pace(self, equivalent_s: Array, temperature_C: Array, errors: Array | None = None) -> Array:
-        """Return dx/dt (any shape).
+        """Return dx/dt (any shape). [s/s]
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Kinetics:
         return np.asarray(terms.sum(axis=-1))
 
     def summands(self, x: Array, temperature_C: Array, errors: Array | None) -> tuple[Array, Array]:
-        """Return the summands of the pace, and the exponent of each (..., J); arguments as of `pace`."""
+        """Return the summands of the pace [s/s], and the exponent of each (..., J); arguments as of `pace`."""
         log_x = np.log(np.maximum(x, 1e-300))
         away = 1.0 / (np.asarray(temperature_C) - COLDEST_C) - 1.0 / self.reference_K
         delta, epsilon = (

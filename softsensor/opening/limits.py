@@ -45,12 +45,12 @@ class Normal:
 
     @property
     def low(self) -> Array:
-        """Lower bound of 95 %."""
+        """Lower bound of 95 %, in the unit of the mean."""
         return np.asarray(self.mean - BAND * self.sd)
 
     @property
     def high(self) -> Array:
-        """Upper bound of 95 %."""
+        """Upper bound of 95 %, in the unit of the mean."""
         return np.asarray(self.mean + BAND * self.sd)
 
     def deviates(self, limit: float) -> Array:

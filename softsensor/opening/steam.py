@@ -133,11 +133,11 @@ def steam_pressure(
     temperature_C
         Of the layers (..., n). [°C]
     share
-        Of each layer in the panel's dry mass, together 1 (n).
+        Share of each layer in the panel's dry mass (n).
     moisture_percent
         Of the whole panel, of its dry mass (...). [%]
     factor
-        The board's equilibrium moisture over solid wood's (...).
+        The board's equilibrium moisture over solid wood's (...). [-]
 
     Returns
     -------
@@ -170,7 +170,10 @@ def steam_with_slopes(
     moisture_percent: float,
     factor: float = 1.0,
 ) -> Steam:
-    """Return steam as `steam_pressure`, with its derivatives by what is uncertain (implicit differentiation)."""
+    """Return steam as `steam_pressure`, with its derivatives by what is uncertain (implicit differentiation).
+
+    All in the units of `Steam`.
+    """
     pressure = steam_pressure(temperature_C, share, moisture_percent, factor)
     log_p, full = np.log(pressure), saturation_kPa(temperature_C)
     by_log_p = (
