@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from softsensor.effects.effect import Effect, LawOf, Live, Need, Role, Scene, Terms
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import USUAL_SPREAD, Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -35,6 +35,7 @@ EFFECT = Effect(
             lower=0.1,
             upper=10.0,
             source="worn plates, one-sided paper",
+            spread=USUAL_SPREAD,
             least=0.001,
             shown_as=(1.0, "unit-times-the-lower-contact"),
         ),

@@ -24,6 +24,7 @@ from scipy.linalg import solve_triangular
 from daq.press.press_file import Press
 from daq.printed import on_screen
 from daq.records import Array, Moments, Run
+from softsensor.effects import clock_offset
 from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel
@@ -40,6 +41,9 @@ from softsensor.signals.moments import Switch, moments_seen, switch_of
 from softsensor.signals.places import Place
 from softsensor.signals.screen import ChannelFault, faces_of, no_panel_channel, screened
 from softsensor.signals.spikes import Spikes, without_spikes
+
+CLOCK = clock_offset.EFFECT.key(clock_offset.EFFECT.parameters[0].name)
+"""Of channels that are late: the parameter that says by how much."""
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -148,8 +152,12 @@ class Digest:
         return np.asarray(total / count.reshape(-1, *([1] * (rows.ndim - 1))))
 
     def solve(self, model: ThermalModel, values: Mapping[str, float], tangents: Sequence[str] = ()) -> Solution:
-        """Run a model over the case."""
+        """Run a model over the case, the panel laid in earlier by as much as channels, which show it, are late."""
         paper = any(e.layers for e in model.effects)
+        if late := values.get(CLOCK, 0.0):
+            values = {**values, "inserted_s": values.get("inserted_s", 0.0) - late}
+        if CLOCK in tangents:
+            tangents = tuple(dict.fromkeys((*tangents, "inserted_s")))
         return model.solve(self.cases[paper], values, tangents)
 
     def observed(self, solution: Solution) -> Array:
@@ -163,7 +171,11 @@ class Digest:
 
     def observed_tangents(self, solution: Solution, names: Sequence[str]) -> Array:
         """Return the derivatives of the signals by parameters, 0 where they have no end (bins, signals, names)."""
-        slopes = self.bins(np.stack([solution.d_sensors[name][:, : len(self.signals)] for name in names], axis=-1))
+        moved = [
+            solution.d_sensors[name] - (solution.d_sensors["inserted_s"] if name == CLOCK else 0.0)
+            for name in names
+        ]
+        slopes = self.bins(np.stack([m[:, : len(self.signals)] for m in moved], axis=-1))
         known = np.abs(self.observed(solution)) < UNBOUNDED_K
         return np.where(known[..., None] & np.isfinite(slopes), slopes, 0.0)
 
