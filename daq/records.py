@@ -83,6 +83,9 @@ def with_frozen_fields(record: Any) -> Any:
 
 ROOM_C = 23.0
 """Of a room where nothing is stated of it: the middle of halls of 16 to 30 °C. [°C]"""
+USUAL_WAIT_S, WAIT_SD_S, LONGEST_WAIT_S = 18.0, 9.0, 30.0
+"""How long a panel lies in the open press before that closes, where nobody saw or stated it: usually, with what
+spread, at most. By hand, 2026-11. [s]"""
 COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
 GAS_CONSTANT = 6.02214076e23 * 1.380649e-23

@@ -14,9 +14,9 @@ from api.commands.fitting import HtmlOut, JsonOut, Outputs
 from api.commands.inputs import PressFile
 from api.commands.planning import parse_ranges
 from api.outputs import as_json, check_writable, spoken_language, working, write_all, write_line
-from daq.records import InputError
+from daq.records import USUAL_WAIT_S, InputError
 from daq.words import say
-from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
+from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, WAITING_S
 
 if TYPE_CHECKING:
     from softsensor.planning.advise import ProgrammeAdvice
@@ -53,7 +53,7 @@ class AdviseOptions:
     core_most: CoreMost = None
     probability: Probability = None
     price: Price = None
-    waiting: Waiting = USUAL_WAITING_S
+    waiting: Waiting = USUAL_WAIT_S
     open_for: OpenFor = USUAL_OPEN_S
     json: JsonOut = None
     svg: SvgFile = None

@@ -16,7 +16,7 @@ from typing import Any
 
 from daq.press.detector import HAND_C
 from daq.press.moments import BEFORE_S
-from daq.records import PressEvent, PressEventKind, Scan
+from daq.records import LONGEST_WAIT_S, PressEvent, PressEventKind, Scan
 from daq.store.records import NewRun, RunEnd, RunStatus
 
 # Numbers without another source were set by hand, 2026-11.
@@ -27,9 +27,9 @@ _SETTLED_S, _SETTLED_SCANS = 3.0, 3
 
 _SPARE_S = 60.0
 """Scans are kept for so long beyond a run: what happened is known later, and runs follow each other. [s]"""
-UNSEEN_S = 35.0
+UNSEEN_S = LONGEST_WAIT_S + _SETTLED_S
 """A run whose panel no sensor showed coming, since none was read or only the closing showed it, begins this long
-before: longer than a panel usually waits in the open press. [s]"""
+before: with the scans before the earliest insertion that can have been. [s]"""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from daq.given import keys_of, name_of, number_of, warn
 from daq.press.header import USUAL_PANEL, check_header, doubts, flat_header
 from daq.press.resin_file import Resin
-from daq.records import ROOM_C, InputError
+from daq.records import ROOM_C, USUAL_WAIT_S, InputError
 from daq.words import say
 from daq.words.message import chosen
 from softsensor.face.inputs import read_press, resin_of
@@ -22,7 +22,7 @@ from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import ADVISED, Task
 from softsensor.planning.program import given_ranges
 from softsensor.planning.summary import advice_messages
-from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, USUAL_WAITING_S, WAITING_S
+from softsensor.planning.wishes import OPEN_S, PRICE, USUAL_OPEN_S, WAITING_S
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +77,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
     limits: Mapping[str, float] | None = None,
     goal: str = "time",
     price_per_kWh: float | None = None,
-    waiting_s: float = USUAL_WAITING_S,
+    waiting_s: float = USUAL_WAIT_S,
     open_s: float = USUAL_OPEN_S,
     progress: Callable[[str, float], None] | None = None,
 ) -> AdviceResult:

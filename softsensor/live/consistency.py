@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.press.detector import HAND_C
-from daq.records import Array
+from daq.press.faces import BLIND_S
+from daq.records import LONGEST_WAIT_S, USUAL_WAIT_S, WAIT_SD_S, Array
 from softsensor.effects.parameters import uniform_sd
 from softsensor.live.blocks import SPARSE_S, ScanArrays
 from softsensor.live.channel_steps import Changes, Integers, note_changes
@@ -34,13 +35,11 @@ SLOPE_S = 1.3
 UPPER_K, UPPER_S = 3.0, 3.0
 """Where the upper face of a panel in the open press warms by so much, it does within about a second; a hand that
 held it or a slow sensor leave the moment open by so much. [K, s]"""
-USUAL_WAIT_S, WAIT_S, LONGEST_WAIT_S = 18.0, 9.0, 30.0
-"""How long a panel nobody saw coming lies in the open press: usually, with what spread, at most. [s]"""
 PLATE_K_ROOT_S, AIR_K_ROOT_S = 50.0, 6.0
 """By how much a face in the open press warms at most, on the plate and under it. [K/√s]"""
-FROZEN_S, FROZEN_K = 3.0, 3.0
-"""A face that stands still to the last digit for so long has fallen silent where its model moves by so much; a
-logger whose channels all do has. [s, K]"""
+FROZEN_K = 3.0
+"""A face that stands still to the last digit for `BLIND_S` has fallen silent where its model moves by so much; a
+logger whose channels all do has. [K]"""
 FEWEST_CHANNELS = 6
 """A logger with fewer channels may well repeat itself."""
 
@@ -129,7 +128,7 @@ def place_insertion(
     ends = min(float(joined[-1]) if len(joined) else math.inf, closed, now)
     if ends - begins <= SPARSE_S:
         return Insertion(min(at, ends))
-    earliest, found = max(begins, ends - LONGEST_WAIT_S), Insertion(ends - USUAL_WAIT_S, WAIT_S)
+    earliest, found = max(begins, ends - LONGEST_WAIT_S), Insertion(ends - USUAL_WAIT_S, WAIT_SD_S)
     there = hot & (time >= ends) & (time < ends + SLOPE_S)
     resting = time[(high < start_C + UPPER_K) & (time < ends)]
     if there.sum() > 1 and (age := _age(time[there], low[there] - start_C)) < USUAL_WAIT_S:
@@ -216,8 +215,8 @@ class Stillness:
     def frozen(self, time_s: float, readings: Array) -> bool:
         """Note a scan of platen and panel channels (B + K); return whether the whole logger stands still."""
         newest, oldest = note_changes(self._changes, time_s, readings)
-        self._any_still = time_s - oldest > FROZEN_S
-        return bool(len(readings) >= FEWEST_CHANNELS and time_s - newest > FROZEN_S)
+        self._any_still = time_s - oldest > BLIND_S
+        return bool(len(readings) >= FEWEST_CHANNELS and time_s - newest > BLIND_S)
 
     def unread(self, *, frozen: bool) -> Flags | None:
         """Return which platen and panel channels only repeat themselves (B + K), None where none is known to.
@@ -239,7 +238,7 @@ class Stillness:
             return False
         new, now = False, float(scans.time[-1])
         for face, since in enumerate(self._changes.since_face.tolist()):
-            if now - since <= FROZEN_S:
+            if now - since <= BLIND_S:
                 continue
             known = self._silenced[face] == since
             if known or frozen or scans.expected_move(face, since) > FROZEN_K:

@@ -10,11 +10,10 @@ from daq.press.detector import CHANGE_S
 from daq.press.events import PressEventDetector
 from daq.press.faces import BLIND_S
 from daq.press.moments import REACH_S
-from daq.records import Array, Moments, PressEvent, PressEventKind, PressState
+from daq.records import LONGEST_WAIT_S, Array, Moments, PressEvent, PressEventKind, PressState
 from softsensor.effects.parameters import uniform_sd
 from softsensor.live.blocks import ScanArrays
 from softsensor.live.consistency import (
-    LONGEST_WAIT_S,
     START_OFF_K,
     FaceReadings,
     Insertion,

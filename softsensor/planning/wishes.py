@@ -6,7 +6,7 @@ WAITING_S = (1.0, 600.0)
 """From laying the panel in to closing. [s] By hand."""
 OPEN_S = (1.0, 3600.0)
 """How long the press is open between two panels. [s] By hand."""
-USUAL_WAITING_S, USUAL_OPEN_S = 10.0, 30.0
-"""Both unless asked otherwise. [s] By hand."""
+USUAL_OPEN_S = 30.0
+"""The same unless asked otherwise; of the wait that is `daq.records.USUAL_WAIT_S`. [s] By hand."""
 PRICE = (0.0, 1e6)
 """Of a kWh. [€] By hand."""

@@ -53,14 +53,14 @@ def test_a_run_begins_before_the_insertion_and_ends_after_the_removal():
 def test_a_run_whose_panel_nobody_saw_coming_begins_longer_before():
     unseen = {600: [event(PressEventKind.INSERTED, 59.0, 60.0), event(PressEventKind.CLOSED, 60.0, 60.0)]}
     (begin, _) = play(keeper(), unseen, 700)[0]
-    assert begin.zero_monotonic_s == 500.0 + 59.0 - 35.0
+    assert begin.zero_monotonic_s == 500.0 + 59.0 - (30.0 + 3.0)  # the longest wait, and the start before it
     one, begins = keeper(), []
     for n in range(700):  # sensors plugged in with the panel, 5.5 s after it came
         quality = G if n >= 600 else Quality.MISSING
         plugged = Scan(n, BEGAN, 500 + n / 10, (200.0, 60.0), (G, quality))
         events = [event(PressEventKind.INSERTED, 60.0, 61.0)] if n == 610 else []
         begins += [new for new, _ in one.take(plugged, events)]
-    assert begins[0].zero_monotonic_s == 500.0 + 60.0 - 35.0
+    assert begins[0].zero_monotonic_s == 500.0 + 60.0 - (30.0 + 3.0)
 
 
 def test_a_start_temperature_that_was_given_is_kept():
