@@ -48,6 +48,7 @@ from softsensor.heat.step_terms import (
     Tangents,
     any_of,
     coefficients,
+    lag_weights,
     room,
     switched,
 )
@@ -662,10 +663,7 @@ def delay(h, y, dy, tau, dtau):
         d_before = dy[:, 0, a].copy()
         for step in range(steps):
             x = h[step] / tau
-            e = np.exp(-x)
-            r = (1.0 - e) / x if x > 1e-8 else 1.0 - 0.5 * x
-            series = -0.5 + x / 3.0  # of dr near 0, by definition
-            dr = (e * (1.0 + x) - 1.0) / (x * x) if x > 1e-4 else series
+            e, r, dr = lag_weights(x)
             now = y[step + 1, a]
             old = y[step, a]
             y[step + 1, a] = old * e + before * (r - e) + now * (1.0 - r)

@@ -22,7 +22,7 @@ Integers = NDArray[np.int64]
 # Numbers without another source were set by hand, 2026-11.
 
 ROWS, DROWS = 8, 7
-"""By definition: how many are named below."""
+"""How many are named below, by definition."""
 CAP, G, LOSS, SRC, SLOPE, DIAG, COND, STAR = range(ROWS)
 """Heat capacity [J/m²K]; conductance of each interface; loss of each cell to ambient [W/m²K]; source
 [W/m²]; its slope; diagonal of K; conductivity; expected temperature."""
@@ -236,6 +236,19 @@ def _table(x, y, t):
         j += 1
     slope = (y[j + 1] - y[j]) / (x[j + 1] - x[j])
     return y[j] + slope * (t - x[j]), slope
+
+
+@compiled(inner=True)
+def lag_weights(x):
+    """Return what a first-order lag keeps over a step of x = h / tau, the mean of that, and its slope by x.
+
+    e = exp(-x), r = (1 - e) / x and dr / dx: where the input goes straight from a to b, an output of y becomes
+    y e + a (r - e) + b (1 - r).
+    """
+    e = np.exp(-x)
+    if x > 1e-4:
+        return e, (1.0 - e) / x, (e * (1.0 + x) - 1.0) / (x * x)
+    return e, 1.0 - 0.5 * x, -0.5 + x / 3.0  # their series, by definition
 
 
 @compiled(inner=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from daq.compiled import compiled
 from softsensor.heat import implicit_steps as kernels
+from softsensor.heat.step_terms import lag_weights
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 
 Array = NDArray[np.float64]
@@ -295,9 +296,7 @@ def _delay(chain, a, y, row, h):
             chain.d_read[a, p] = -(y - before) / h
     else:
         x = h / tau
-        e = math.exp(-x)
-        r = (1.0 - e) / x
-        dr = (e * (1.0 + x) - 1.0) / (x * x) if x > 1e-4 else -0.5 + x / 3.0
+        e, r, dr = lag_weights(x)
         chain.read[a] = old * e + before * (r - e) + y * (1.0 - r)
         for q in range(q_all):
             chain.d_read[a, q] = chain.d_read[a, q] * e + chain.d_true[a, q] * (r - e) + row[q] * (1.0 - r)

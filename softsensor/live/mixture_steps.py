@@ -245,11 +245,12 @@ def _half_normal(z):
 @compiled()
 def quantile(weights, means, sds, share):
     """Return the `share` quantile of a mixture of normals."""
-    low, high = 1e30, -1e30
+    low, high = math.inf, -math.inf
     for j in range(weights.shape[0]):
         if weights[j] > 1e-9:
-            low = min(low, means[j] - 8.0 * sds[j])
-            high = max(high, means[j] + 8.0 * sds[j])
+            reach = 8.0 * sds[j]
+            low = min(low, means[j] - reach)
+            high = max(high, means[j] + reach)
     for _ in range(40):
         middle = 0.5 * (low + high)
         total = 0.0
