@@ -29,6 +29,11 @@ IN_USE_S = 7 * 86400.0
 
 CALM_S = 60.0
 """What comes back within this time has not been over: sensors flicker about a limit, faults come and go. [s]"""
+ENDS_S = 10.0
+"""A thread that is to end is waited for so long; systemd ends what hangs. [s]"""
+SILENT_S = 5.0
+"""A press whose newest scan is older is silent: what it shows is not of now, and its recorder looks for the cause.
+More than two scans of the slowest recorder, 0.5 Hz. [s]"""
 RESTART_S = 1.0
 """Between an exception and the next try: a fault that stays must not fill the journal or a core. [s]"""
 STALLED_S = 60.0

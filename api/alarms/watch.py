@@ -20,7 +20,7 @@ from daq.records import InputError
 from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import STALLED_S, StandstillAlarm, Steps, SupervisedThread
+from daq.supervision import ENDS_S, STALLED_S, StandstillAlarm, Steps, SupervisedThread
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.serve")
@@ -97,7 +97,7 @@ class _AlarmWatch:
     def end(self) -> None:
         self._stop.set()
         for thread in self._threads:
-            thread.join(5.0)
+            thread.join(ENDS_S)
 
     def stalled(self) -> Message | None:
         """Return why one of the two stands still, or None; of each it is journalled once."""

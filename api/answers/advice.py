@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import math
 
-from api.answers.present import SILENT_S, is_of_now
+from api.answers.present import is_of_now
 from api.answers.schemas import Advice, EstimateNow
 from api.answers.words import message_answer
+from daq.supervision import SILENT_S
 from daq.words import Message, say
 from softsensor.live.validity import reason_message
 

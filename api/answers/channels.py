@@ -14,13 +14,11 @@ from api.answers.decimation import number_or_none
 from api.answers.kept import PRESSES, Kept
 from api.answers.schemas import ChannelNow, Faces
 from daq.records import Channel, Quality, Scan
-from daq.store.records import ProcessStatus
+from daq.store.records import SCANS_AT_ONCE, ProcessStatus
 from daq.store.store import Store
 
 LOOK_BACK_SCANS = 36_000
 """Where nobody asked for long, gaps and last good values are sought in this many scans: 1 h at 10 Hz."""
-BATCH = 2000
-"""Scans read at a time: some megabytes of 16 channels."""
 GAPS_OVER = timedelta(hours=1)
 Role = Literal["platen", "top", "bottom", "core", "other"]
 _ROLES: tuple[Role, ...] = ("platen", "top", "bottom", "core")
@@ -68,7 +66,7 @@ class _Watch:
         with self.lock:
             self.newest = max(self.newest, newest - LOOK_BACK_SCANS)
             while self.newest < newest:
-                batch = store.scans_after(press, self.newest, BATCH)
+                batch = store.scans_after(press, self.newest, SCANS_AT_ONCE)
                 if not batch.scans:
                     return
                 names = [channel.name for channel in batch.channels]

@@ -19,11 +19,9 @@ from daq.press.detector import HAND_C
 from daq.records import Channel, PressState, Scan
 from daq.store.records import RunRecord, RunStatus, StoredEstimate, StoredPressEvent
 from daq.store.store import Store
+from daq.supervision import SILENT_S
 from softsensor.live.validity import Invalid, InvalidReason
 
-SILENT_S = 5.0
-"""What lies further than this from the clock is not of now: a scan, an estimate, a look ahead. More than two scans
-of the slowest recorder, 0.5 Hz. Set by hand, 2026-11. [s]"""
 STATE_AFTER: Mapping[str, State] = {
     "inserted": "open",
     "closed": "closed",

@@ -12,7 +12,7 @@ from api.answers.advice import advice_of
 from api.answers.channels import channels_now, faces_now
 from api.answers.decimation import number_or_none
 from api.answers.kept import PRESSES, Kept
-from api.answers.present import SILENT_S, Present, age_of, is_of_now, leave_of, present_of, steps_of
+from api.answers.present import Present, age_of, is_of_now, leave_of, present_of, steps_of
 from api.answers.schemas import (
     CoefficientFit,
     CoefficientPoint,
@@ -43,6 +43,7 @@ from daq.store.records import (
     StoredEstimate,
 )
 from daq.store.store import Store
+from daq.supervision import SILENT_S
 from daq.words import Message, spoken
 
 TOLD_HERE = {"age_s", "valid_until_utc", "open_now", "advice"}

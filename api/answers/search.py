@@ -16,7 +16,7 @@ from api.answers.records import is_described, run_summary
 from api.answers.schemas import RunHit, SearchList
 from daq.press.header import VERDICT, VERDICTS, is_number_key
 from daq.records import InputError
-from daq.store.records import Page, RunCore, RunRecord, RunStatus, every
+from daq.store.records import AT_ONCE, Page, RunCore, RunRecord, RunStatus, every
 from daq.store.store import Store
 from daq.words import Message, say
 from daq.words.message import ENGLISH, words
@@ -29,8 +29,6 @@ COEFFICIENT = "h_"
 MOST_KEPT = 20_000
 """Runs whose numbers are kept in memory: some hundred bytes each."""
 _CORES: Kept[tuple[str, str], RunCore] = Kept(MOST_KEPT)
-AT_ONCE = 500
-"""Runs asked of the store at a time, as in a page (`MAX_PAGE`)."""
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "=": operator.eq}
 _BOUND = re.compile(r"\s*([A-Za-z][\w.-]*)\s*(<=|>=|<|>|=)\s*([+-]?[0-9]+(?:[.,][0-9]+)?(?:[eE][+-]?[0-9]+)?)\s*")
 

@@ -7,11 +7,12 @@ from datetime import datetime
 
 from api.answers.channels import channel_role
 from api.answers.drift import drift_of
-from api.answers.present import SILENT_S, present_of
+from api.answers.present import present_of
 from api.answers.schemas import AlarmLimits
 from daq.records import Scan
 from daq.store.records import StandingAlarm
 from daq.store.store import Store
+from daq.supervision import SILENT_S
 from daq.words import Message, say
 
 UNKNOWN = ("unknown_effect", "not_described")

@@ -19,7 +19,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from api.demo.press import virtual_press_of
-from api.demo.processes import FIT_S, JUDGED, KERNTEMP, SERVICES, Children, DemoPlan, ended
+from api.demo.processes import FIT_S, JUDGED, KERNTEMP, SERVICES, USUAL_CYCLE_S, Children, DemoPlan, ended
 from api.demo.summary import (
     PressingCheck,
     compare,
@@ -49,8 +49,8 @@ VIEWS = ("now", "wall", "runs", "coefficients", "diagnosis", "nights")
 """What a newcomer is shown first."""
 PRESS = "lab"
 """The virtual press's name."""
-USUAL_CYCLE_S = 130.0
-"""From one panel's removal to the next one's, on average over the ranges of `VirtualPressSettings`. [s]"""
+LOOK_S = 0.05
+"""How often is looked what the processes have done: a tenth of what a pressing takes at the highest speed. [s]"""
 
 
 def run_demo(plan: DemoPlan, children: Children, show: Callable[[Message | str], None], *, kept: bool) -> None:
@@ -156,7 +156,7 @@ class _Demo:
             if waited > QUICK_S and not self._compiling_noted:
                 self._compiling_noted = True
                 self.show(say("demo-compiling"))
-            time.sleep(0.05)
+            time.sleep(LOOK_S)
 
     def _all_run(self) -> bool:
         """Whether recorder and sensor do their work."""
@@ -181,7 +181,7 @@ class _Demo:
                 if self.plan.pressings is not None and self.findings:
                     return  # the press has done what was asked; what was not found of it is shown
                 raise WorkFailed(say("demo-no-pressing"))
-            time.sleep(0.05)
+            time.sleep(LOOK_S)
 
     def _to_look_at(self) -> list[RunRecord]:
         """Return the newest runs and those that wait for their fits, which come late on a busy machine."""

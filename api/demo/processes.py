@@ -32,8 +32,9 @@ FIT_S = 240.0
 """Longest wait for the last fit of a finished pressing: of a first start, also for what fits compile. [s]"""
 LOGGERS_KEEP = 6
 """Pressings in the memory of the loggers' process, which only looks at the present."""
-SHORTEST_CYCLE_S = 90.0
-"""From one panel's removal to the next one's, at least. [s]"""
+SHORTEST_CYCLE_S, USUAL_CYCLE_S = 90.0, 130.0
+"""From one panel's removal to the next one's: at least, and on average over the ranges of `VirtualPressSettings`.
+[s]"""
 JUDGED = 10
 """Newest pressings on which a promoted model is held against the live estimates. Panels differ in what is hidden
 in them by a quarter, so that four (2026-11) were too few to judge by; no fit and no diagnosis sees the core."""
@@ -68,7 +69,7 @@ class DemoPlan:
     @property
     def patience_s(self) -> float:
         """Longest wait for the next pressing to be recorded, while none waits for its fit. [s]"""
-        return START_S + 400.0 / self.speed
+        return START_S + 3 * USUAL_CYCLE_S / self.speed
 
     @property
     def known_cycles(self) -> int:

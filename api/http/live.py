@@ -21,7 +21,7 @@ from starlette.types import Receive, Scope, Send
 from api.http.news import Position, Standpoint, estimate_event, newest_position, news, now_of_all
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import Faults, StandstillAlarm, Steps
+from daq.supervision import RESTART_S, Faults, StandstillAlarm, Steps
 from daq.words import Message
 
 POLL_S = 0.05
@@ -34,8 +34,6 @@ QUEUE_EVENTS = 2000
 """A listener that lags this far behind is let go; it comes back with Last-Event-ID."""
 MAX_LISTENERS = 200
 """Each holds a connection and its place in the queue; a hall has some tens of screens."""
-AGAIN_S = 1.0
-"""After a fault, or while the store is away, it is asked again after this. [s]"""
 LOG = logging.getLogger("kerntemp.serve")
 
 
@@ -103,11 +101,11 @@ class Hub:
             except StoreUnavailable as error:
                 LOG.warning("%s", error)
                 self._faults.newest = None  # the store's absence is reported by others
-                await asyncio.sleep(AGAIN_S)
+                await asyncio.sleep(RESTART_S)
             except Exception as error:  # noqa: BLE001 - whatever it is, those who listen must get what comes next
                 with suppress(Exception):  # as without memory: the next fault is reported
                     await asyncio.to_thread(self._faults.failed, error)
-                await asyncio.sleep(AGAIN_S)
+                await asyncio.sleep(RESTART_S)
             await asyncio.sleep(POLL_S)
 
     def _begin(self) -> Position:

@@ -23,13 +23,13 @@ from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Any
 
-from api.answers.present import SILENT_S, Present, age_of, is_of_now, present_of
+from api.answers.present import Present, age_of, is_of_now, present_of
 from api.answers.records import utc_now
-from api.plant.mqtt import Broker, BrokerAway, Will, json_bytes
+from api.plant.mqtt import FIRST_PAUSE_S, LONGEST_PAUSE_S, Broker, BrokerAway, Will, json_bytes
 from daq.process.config import MqttSettings
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import Steps
+from daq.supervision import SILENT_S, Steps
 from daq.words import Message, spoken
 from softsensor.live.validity import Invalid, InvalidReason
 
@@ -40,8 +40,6 @@ LOOK_S = 0.1
 """How often the store is asked. [s]"""
 SAY_S = 1.0
 """How often it is sent again. [s]"""
-LONGEST_PAUSE_S = 5.0
-"""Between two tries to reach the broker. [s]"""
 
 
 def leave_body(press: str, present: Present | None, now: datetime) -> dict[str, Any]:
@@ -126,14 +124,14 @@ class LeaveFeed:
     def _keep(self, press: str, ending: threading.Event) -> None:
         """Hold the line of one press, again and again, until the end."""
         nobody = _nothing(press, Invalid(InvalidReason.NOT_PUBLISHED))
-        will, pause_s = Will((press, TOPIC), nobody, f"/{press}/{TOPIC}", KEEPALIVE_S), 0.2
+        will, pause_s = Will((press, TOPIC), nobody, f"/{press}/{TOPIC}", KEEPALIVE_S), FIRST_PAUSE_S
         while not ending.is_set():
             broker = Broker(self._settings, will)
             try:
                 with self._steps[press].step():
                     broker.open()
                 self._problems.pop(press, None)
-                pause_s = 0.2
+                pause_s = FIRST_PAUSE_S
                 self._say(broker, press, nobody, ending)
                 broker.close()
             except BrokerAway as error:

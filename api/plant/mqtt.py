@@ -25,6 +25,7 @@ afterwards, for the seconds of an idle press before an insertion it had not seen
 from __future__ import annotations
 
 import json
+import math
 import socket
 import threading
 import time
@@ -58,6 +59,10 @@ POLL_S = 0.1
 """How often the store is asked for news while there is none. [s]"""
 MODEL_S = 2.0
 """How often the models in force are looked at; one is promoted once a night. [s]"""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0
+"""After a try that did not reach the broker, doubled each time up to the second: it is back within seconds. [s]"""
+_LOOK_S = 0.05
+"""How often a wait for the broker's answer looks whether the line is lost. [s]"""
 _KEPT_SIGNS = str.maketrans({"#": "%23", "+": "%2B", "\0": "%00"})
 
 
@@ -142,7 +147,7 @@ class Broker:
             while info.rc != paho.MQTT_ERR_SUCCESS or not info.is_published():
                 if self._lost.is_set() or time.monotonic() > deadline or info.rc != paho.MQTT_ERR_SUCCESS:
                     raise BrokerAway(self._complaint("plant-broker-not-taking"))
-                info.wait_for_publish(0.05)
+                info.wait_for_publish(_LOOK_S)
 
     def close(self) -> None:
         """Say goodbye and leave. A second call does no harm."""
@@ -159,7 +164,7 @@ class Broker:
 
     def _wait(self, event: threading.Event, code: str) -> None:
         deadline = time.monotonic() + ANSWER_S
-        while not event.wait(0.05):
+        while not event.wait(_LOOK_S):
             if self._lost.is_set() or time.monotonic() > deadline:
                 self._client.loop_stop()
                 raise BrokerAway(self._complaint(code))
@@ -204,7 +209,7 @@ class Publisher:
         self._following.start(known)
         self._guessed = set(self._following.position) - set(known)
         self._models: dict[str, str] = {}
-        self._models_looked = -1e9
+        self._models_looked = -math.inf
 
     @property
     def position(self) -> dict[Place, int]:
@@ -217,13 +222,13 @@ class Publisher:
 
     def run(self, stop: threading.Event) -> None:
         """Connect, send, connect again, until stopped. Raises what the store raises."""
-        pause_s = 0.2
+        pause_s = FIRST_PAUSE_S
         while not stop.is_set():
             broker = Broker(self._settings)
             try:
                 with self._steps.step():
                     self._connect(broker)
-                pause_s = 0.2
+                pause_s = FIRST_PAUSE_S
                 while not stop.is_set():
                     with self._steps.step():
                         sent = self._send_waiting(broker)
@@ -233,7 +238,7 @@ class Publisher:
             except BrokerAway as error:
                 self.problem = spoken(error)
                 stop.wait(pause_s)
-                pause_s = min(2.0 * pause_s, 10.0)
+                pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
             finally:
                 broker.close()
 

@@ -40,7 +40,7 @@ from asyncua import Node, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 
 from api.answers.health import installed_version
-from api.answers.present import SILENT_S, Present, present_of
+from api.answers.present import Present, present_of
 from api.answers.records import utc_now
 from api.http.gate import is_loopback
 from api.http.tokens import TokenFile
@@ -51,7 +51,7 @@ from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
 from daq.store.records import StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import Steps
+from daq.supervision import SILENT_S, Steps
 from daq.tables import reason_of
 from daq.words import Message, say, spoken
 from softsensor.live.validity import Invalid, InvalidReason, reason_message

@@ -19,7 +19,7 @@ from daq.records import InputError
 from daq.store import Store, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import RETRY_S, ending_reported, open_when_ready
-from daq.supervision import BEAT_S
+from daq.supervision import BEAT_S, ENDS_S
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.publish")
@@ -75,7 +75,7 @@ class _Feeds:
             notifier.stopping()
             self._stop.set()
             for thread in threads:
-                thread.join(15.0)
+                thread.join(ENDS_S)
         self._beat("stopped")
         if self._failed:
             raise self._failed[0]

@@ -27,7 +27,7 @@ from daq.records import Channel, PressEvent, Quality, Scan
 from daq.store import PressKey, Store, StoreUnavailable
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
-from daq.supervision import SupervisedThread
+from daq.supervision import ENDS_S, SILENT_S, SupervisedThread
 from daq.tables import text_in
 from daq.words import Message, say
 
@@ -35,18 +35,14 @@ LOG = logging.getLogger("kerntemp.record")
 
 # Numbers without another source were set by hand, 2026-11.
 
-_STALLED_AFTER_S = 5.0
-"""No scan for so long beside the schedule's own pace is a standstill. [s]"""
 _STUCK_AFTER_S = 20.0
 """Longer than any wait for devices on one bus: a driver that is still in its read hangs. [s]"""
 _DISAGREEMENT_EVERY_S = 600.0
 """A limit switch that contradicts the temperatures is journalled at once, then at most this often. [s]"""
 LEFT_OUT_EVERY_S = 60.0
-"""Scans left out are journalled at once, then at most this often. [s of the press]"""
-_ENDS_S, _SCANNER_ENDS_S = 10.0, 5.0
-"""The end of a press waits so long for its thread and its loggers' at most; systemd ends what hangs. [s]"""
-_TOO_MANY_LEFT_OUT, _LATELY_S = 0.05, 60.0
-"""Of the scans of so long; single ones go missing wherever a machine is busy for a moment."""
+"""Scans left out are journalled at once, then at most this often, and counted over as long. [s]"""
+_TOO_MANY_LEFT_OUT = 0.05
+"""Share of the scans; single ones go missing wherever a machine is busy for a moment."""
 
 Level = Literal["info", "warning", "alarm"]
 
@@ -207,8 +203,8 @@ class PressLine:
 
     def join(self) -> None:
         """Wait for the end: a run under way is closed as interrupted."""
-        self._thread.join(_ENDS_S)
-        self._scanner.join(_SCANNER_ENDS_S)
+        self._thread.join(ENDS_S)
+        self._scanner.join(ENDS_S)
 
     def _work(self) -> None:
         while (scan := self._scanner.scan(self._stop)) is not None:
@@ -324,7 +320,7 @@ class PressLine:
         if faults := [x for x in (self._thread.fault, *(y.fault for y in self._scanner.loggers)) if x]:
             return say("of-press", press=self.settings.name, what=faults[0])
         now_s, periods_s = time.monotonic(), 2.0 / self.settings.rate_hz
-        if now_s - self._fresh_s > _STALLED_AFTER_S + periods_s:
+        if now_s - self._fresh_s > SILENT_S + periods_s:
             return say("press-stalled", press=self.settings.name, seconds=now_s - self._fresh_s)
         stuck = [x.name for x in self._scanner.loggers if now_s - x.returned_s > _STUCK_AFTER_S + periods_s]
         return say("driver-stuck", press=self.settings.name, logger=stuck[0]) if stuck else None
@@ -339,9 +335,9 @@ class PressLine:
         ]
         if self._detector.disagreement:
             problems.append(say("problem-of-press", press=name, what=self._detector.disagreement))
-        since_s = time.monotonic() - _LATELY_S
+        since_s = time.monotonic() - LEFT_OUT_EVERY_S
         gone_by = sum(count for at_s, count in tuple(self._gone_by) if at_s > since_s)
-        if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * _LATELY_S:
+        if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * LEFT_OUT_EVERY_S:
             problems.append(say("scans-left-out-lately", press=name, count=gone_by))
         return problems
 

@@ -22,7 +22,7 @@ from daq.records import InputError
 from daq.store.convert import known_utc, to_json, unix_of, utc_of
 from daq.store.journal import journal_after
 from daq.store.reading import newest_first
-from daq.store.records import Delivery, Page, StandingAlarm, StoredAlarm, Thresholds
+from daq.store.records import AT_ONCE, Delivery, Page, StandingAlarm, StoredAlarm, Thresholds
 from daq.store.schema import ALARM, ALARM_DELIVERY, ALARM_POSITION, ALARM_THRESHOLD, ALARM_WAY, EVENT
 from daq.store.upsert import insert_new, put
 from daq.supervision import CALM_S, IN_USE_S
@@ -37,11 +37,8 @@ LONGEST_WAIT_S = 600.0
 FIRST_WAIT_S = 5.0
 """After the first try; doubled with each. [s]"""
 JOURNAL = "journal"
-LINES = 500
-"""Of the journal looked through at a time. By hand, 2026-11."""
 
-
-NOTED_S = IN_USE_S / 168.0
+NOTED_S = IN_USE_S / (7 * 24)
 """How often it is noted that a way is still there: hourly, each is a write. [s]"""
 
 
@@ -133,7 +130,7 @@ def _take_up_journal(connection: Connection, position: int, ways: Sequence[str],
 
     They are due at once, whatever the clock of who wrote them showed.
     """
-    entries = journal_after(connection, position, LINES)
+    entries = journal_after(connection, position, AT_ONCE)
     alarms = [entry for entry in entries if entry.level == "alarm"]
     for entry in alarms:
         at = unix_of(entry.utc)

@@ -6,6 +6,7 @@ import sqlite3
 import zlib
 from pathlib import Path
 
+from daq.store.process_lock import WAIT_S
 from daq.words import say
 
 TABLES = """
@@ -17,7 +18,7 @@ Row = tuple[int, str]
 
 def open_file(path: Path) -> sqlite3.Connection:
     """Open a buffer's file, with its tables, so that a row written is on the disk. Raises `sqlite3.Error`."""
-    connection = sqlite3.connect(path, isolation_level=None, timeout=5.0)
+    connection = sqlite3.connect(path, isolation_level=None, timeout=WAIT_S)
     try:
         connection.execute("PRAGMA locking_mode=EXCLUSIVE")  # else a shared file: no room on a full disk
         connection.execute("PRAGMA journal_mode=WAL")

@@ -8,15 +8,13 @@ from sqlalchemy import Connection, and_, case, func, select
 
 from daq.store.archived import archived_cores
 from daq.store.convert import nan
-from daq.store.records import RunCore
+from daq.store.records import AT_ONCE, RunCore
 from daq.store.schema import ESTIMATE, RUN
 
 # Numbers without another source were set by hand, 2026-11.
 
 BEFORE_S = 1.0
 """The core at opening is that of the last valid estimate so shortly before. [s]"""
-AT_ONCE = 500
-"""Runs asked for in one query."""
 
 
 def run_cores(connection: Connection, runs: Sequence[str]) -> dict[str, RunCore]:

@@ -33,6 +33,7 @@ from daq.store.file_rescue import (
     logs_of,
     rescue,
 )
+from daq.store.process_lock import AGAIN_S
 from daq.store.records import NotAStore, StoreUnavailable
 from daq.store.sound_rows import is_torn, store_label
 from daq.words import Message, say, spoken
@@ -451,7 +452,7 @@ def _switch_to_wal(engine: Engine, busy_s: float) -> None:
         except sqlite3.OperationalError as error:
             if "locked" not in str(error) or time.monotonic() > deadline:
                 raise OperationalError("PRAGMA journal_mode=WAL", None, error) from error
-            time.sleep(0.02)
+            time.sleep(AGAIN_S)
         finally:
             raw.close()
 

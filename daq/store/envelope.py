@@ -18,6 +18,7 @@ from sqlalchemy import Connection, func, select
 from daq.records import Array, InputError
 from daq.store.archived import archived_scans
 from daq.store.reading import first_number_from, layout_channels, recorded_id
+from daq.store.records import SCANS_AT_ONCE
 from daq.store.run_scans import usable_values
 from daq.store.schema import ARCHIVE, RUN, SCAN
 from daq.store.sound_rows import is_object, readings_with_gaps
@@ -25,9 +26,6 @@ from daq.words import Message
 from daq.words.message import spoken
 
 # Numbers without another source were set by hand, 2026-11.
-
-_ROWS = 2000
-"""Scans held at a time: some megabytes of 16 channels."""
 
 
 @dataclass
@@ -89,8 +87,8 @@ def _in_table(
 ) -> Iterator[tuple[Array, dict[str, Array]]]:
     kept = select(SCAN.c.unix_s, SCAN.c.layout_id, SCAN.c.readings, SCAN.c.faults)
     query = kept.where(SCAN.c.press_id == press_id, SCAN.c.number >= first, SCAN.c.number < last)
-    streamed = connection.execute(query.order_by(SCAN.c.number), execution_options={"yield_per": _ROWS})
-    for rows in streamed.partitions(_ROWS):
+    streamed = connection.execute(query.order_by(SCAN.c.number), execution_options={"yield_per": SCANS_AT_ONCE})
+    for rows in streamed.partitions(SCANS_AT_ONCE):
         for layout in dict.fromkeys(row.layout_id for row in rows):
             own = [
                 row for row in rows if row.layout_id == layout and (row.faults is None or is_object(row.faults))

@@ -23,22 +23,20 @@ from daq.records import Channel, InputError, Quality, Scan
 from daq.store.buffer import Buffer, set_aside
 from daq.store.convert import known_utc
 from daq.store.last_written import WrittenSoFar
-from daq.store.records import NumbersTaken, PressGone, PressKey, StoreUnavailable
+from daq.store.records import AT_ONCE, NumbersTaken, PressGone, PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
-from daq.supervision import BEAT_S, CALM_S, STALLED_S, Pending, SupervisedThread, unexpected
+from daq.supervision import BEAT_S, CALM_S, ENDS_S, RESTART_S, STALLED_S, Pending, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
-_FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
+_FIRST_RETRY_S, _LONGEST_RETRY_S = RESTART_S, 10.0
 """A store that refuses is tried again after this, doubled each time up to the second. Set by hand, 2026-11. [s]"""
 
 # Numbers without another source were set by hand, 2026-11.
 
 _MOST_WAITING = 200_000
 """Write batches kept in memory while the store is away and there is no buffer: 5 h at 10 Hz and one press."""
-_AT_ONCE = 500
-"""Items in one transaction: some 0.1 s of writing, so that others wait no longer."""
 _IDLE_S = 0.25
 """How often the writer looks whether it is to go on. [s]"""
 
@@ -147,7 +145,7 @@ class Outbox:
         if self._buffer is not None:
             self._buffer.expect(len(encode_item(_example(channels))))
 
-    def close(self, longest_s: float = 10.0) -> None:
+    def close(self, longest_s: float = ENDS_S) -> None:
         """Write what is left, or give up after `longest_s`: what is not written then is reported."""
         self._closed = True
         self._news.set()
@@ -242,12 +240,12 @@ class Outbox:
         try:
             self._watch_file()
             while self._again:
-                self._write(self._again[:_AT_ONCE])
-                del self._again[:_AT_ONCE]
+                self._write(self._again[:AT_ONCE])
+                del self._again[:AT_ONCE]
                 self._show()
             self._drain()
             while self._waiting:
-                items = self._waiting[:_AT_ONCE]
+                items = self._waiting[:AT_ONCE]
                 self._write(items)
                 del self._waiting[: len(items)]
                 self._acknowledge(items)
@@ -409,7 +407,7 @@ class Outbox:
         """Write the buffer's content; what is put meanwhile goes behind it, durably."""
         while self._buffer is not None and self.behind:
             try:
-                rows = self._buffer.oldest(_AT_ONCE)
+                rows = self._buffer.oldest(AT_ONCE)
             except (sqlite3.Error, OSError) as error:  # a store that is well does not wait for its buffer
                 if any(isinstance(x, WriteBatch) and self._placement.waits_for_place(x) for x in self._waiting):
                     # the place of what waits here is behind what is in there
@@ -429,5 +427,5 @@ def _example(channels: Sequence[Channel]) -> WriteBatch:
     """Return a write batch as large as they come."""
     key = PressKey(1, "press-name", 1, tuple(channels), 10**8)
     now = known_utc(time.time())
-    scan = Scan(10**8, now, 1e6 / 7.0, (1e3 / 7.0,) * len(channels), (Quality.GOOD,) * len(channels))
+    scan = Scan(10**8, now, 10**6 / 7, (10**3 / 7,) * len(channels), (Quality.GOOD,) * len(channels))
     return WriteBatch(key, (scan,))

@@ -21,6 +21,8 @@ from daq.words import Message
 
 WAIT_S = 5.0
 """A recorder that is just ending, or was just killed, is waited for. [s]"""
+AGAIN_S = 0.05
+"""What is locked is tried again after this. [s]"""
 
 if sys.platform == "win32":
     import msvcrt
@@ -91,6 +93,6 @@ def wait_for(lock: Callable[[], None], complaint: Message) -> None:
         except OSError as error:
             if time.monotonic() > deadline:
                 raise InputError(complaint) from error
-            time.sleep(0.05)
+            time.sleep(AGAIN_S)
         else:
             return

@@ -12,6 +12,11 @@ from daq.records import Channel, InputError, Moments, PressState, Scan
 from daq.words import Message
 
 T = TypeVar("T")
+AT_ONCE = 500
+"""Rows that one query asks for, one transaction writes or one page holds: some 0.1 s, so that others wait no
+longer. By hand, 2026-11."""
+SCANS_AT_ONCE = 2000
+"""Scans held at a time: some megabytes of 16 channels. By hand, 2026-11."""
 
 
 class StoreUnavailable(RuntimeError):

@@ -26,9 +26,9 @@ _LONGEST = 2500
 """Characters of an argument that fluent puts into a sentence (its MAX_PART_LENGTH)."""
 _BEGINNING = 200
 """Characters kept of a text that is longer, so that what to do, behind it, is still read. (By hand, 2026-11)"""
-_LARGEST = 2**53
-"""Numbers beyond are shown by their power of ten: there is no digit for each in a double (IEEE 754), and fluent
-fails at more than 28 of them."""
+LARGEST_EXACT = 2**53
+"""Whole numbers up to here are the same in a double (IEEE 754), JSON and TOML. Those beyond are shown by their
+power of ten: there is no digit for each, and fluent fails at more than 28 of them."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Catalogue:
             return _shortened(", ".join(str(self._argument(one)) for one in value), _LONGEST)
         if isinstance(value, str):
             return _shortened(value, _BEGINNING)
-        if abs(value) > _LARGEST:
+        if abs(value) > LARGEST_EXACT:
             return str(Context(prec=6).create_decimal(value).normalize()).lower()
         return self._number(value, useGrouping=False)
 

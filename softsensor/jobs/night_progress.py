@@ -14,6 +14,7 @@ from typing import Any
 
 from daq.press.press_file import Press
 from daq.store import RunRecord, RunStatus, Store
+from daq.store.records import AT_ONCE
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import CHARTED_RUNS
@@ -26,8 +27,6 @@ WINDOW = CHARTED_RUNS
 
 SHARE = 200
 """Older runs refitted in each night after that."""
-BUNCH = 200
-"""Runs asked for at a time."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def _is_pressing(run: RunRecord) -> bool:
 
 def _new(store: Store, name: str, seen: int) -> Iterator[Sequence[RunRecord]]:
     """Yield the runs numbered above the last one seen, oldest first, in bunches."""
-    while bunch := store.pressings(name, after=seen, limit=BUNCH):
+    while bunch := store.pressings(name, after=seen, limit=AT_ONCE):
         yield bunch
         seen = bunch[-1].number
 
@@ -157,4 +156,4 @@ def _older(store: Store, name: str, window: Sequence[RunRecord], behind: int) ->
 
 
 def _bunches(names: Sequence[str]) -> Iterator[Sequence[str]]:
-    return (names[i : i + BUNCH] for i in range(0, len(names), BUNCH))
+    return (names[i : i + AT_ONCE] for i in range(0, len(names), AT_ONCE))

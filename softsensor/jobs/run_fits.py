@@ -13,6 +13,7 @@ from typing import Any, Literal
 from daq.press.press_file import Press
 from daq.records import InputError
 from daq.store import RunRecord, RunStatus, Store, StoreUnavailable
+from daq.store.records import AT_ONCE
 from daq.supervision import unexpected
 from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile
@@ -25,8 +26,8 @@ PROCESS = "sense"
 
 # Numbers without another source were set by hand, 2026-11.
 
-LEFT_RUNS, LEFT_LINES = 200, 500
-"""Newest runs that are looked through for a fit a killed process has left, and lines of the journal about them."""
+LEFT_RUNS = 200
+"""Newest runs that are looked through for a fit a killed process has left."""
 NO_FIT = ("run-not-fitted", "run-nothing-to-fit", "run-fit-killed")
 """What the journal says of a run that has no fit."""
 
@@ -71,7 +72,7 @@ class RunFits:
         """Fit those of the newest runs up to a scan that a process killed before this one has left."""
         records = self.store.runs(press=self.name, limit=LEFT_RUNS).items
         fits = self.store.fits([r.run for r in records])
-        lines = [entry.message for entry in self.store.journal(limit=LEFT_LINES).items]
+        lines = [entry.message for entry in self.store.journal(limit=AT_ONCE).items]
         given_up = {line.arguments["run"] for line in lines if line.code in NO_FIT}
         for record in reversed(records):
             followed = record.last_scan is not None and record.last_scan <= last

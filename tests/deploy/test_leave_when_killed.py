@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from api.answers.present import SILENT_S
+from daq.supervision import SILENT_S
 from tests.api.test_live import Stream
 from tests.api.test_plant_mqtt import MOSQUITTO, Broker, Listener
 from tests.daq.test_recorder import plant

@@ -15,12 +15,12 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from api.http.gate import token_of
 from api.http.problems import ProblemError
-from daq.store.records import RunRecord
+from daq.store.records import AT_ONCE, RunRecord
 from daq.store.store import Store
 from daq.words import say
 
-MAX_PAGE = 500
-"""Items in one page: some 100 kB, written within some 0.1 s."""
+MAX_PAGE = AT_ONCE
+"""Items in one page: some 100 kB."""
 
 
 PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]

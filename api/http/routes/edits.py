@@ -31,6 +31,7 @@ from daq.store.convert import header_of, header_text
 from daq.store.records import RunRecord
 from daq.store.store import Store
 from daq.words import Message, say
+from daq.words.message import LARGEST_EXACT
 from softsensor.signals.doubt import nearest_of, one_product
 
 router = APIRouter(tags=["runs"], responses=problem_responses(404))
@@ -39,12 +40,10 @@ NUMBERS = ("setting.", "ambient.")
 """Header keys that begin so are numbers: fits, drift and the live sensor reckon with them."""
 THICKNESS = "panel.thickness_mm"
 START = "panel.initial_temperature_C"
-EXACT = 2**53
-"""Whole numbers up to here are the same in JSON, TOML and a float."""
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$", max_length=200)]
 Value = (
     StrictBool
-    | Annotated[StrictInt, Field(ge=-EXACT, le=EXACT)]
+    | Annotated[StrictInt, Field(ge=-LARGEST_EXACT, le=LARGEST_EXACT)]
     | Annotated[StrictFloat, Field(allow_inf_nan=False)]
     | Words
 )
