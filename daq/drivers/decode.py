@@ -143,7 +143,7 @@ def _celsius(
     unit = profile.values.unit if profile.values else "C"
     if unit in ("C", "F", "K"):
         return [thermocouple.celsius_of(v, unit) for v in physical]
-    millivolt = np.array(physical) * (1e-3 if unit == "uV" else 1.0)
+    millivolt = np.array(physical) / (1e3 if unit == "uV" else 1.0)
     cold = _cold_junction(profile, millivolt, words, cold_junction)
     found = thermocouple.compensated(millivolt, cold)
     beyond = np.isnan(found) & np.isfinite(cold) & np.isfinite(millivolt)  # no temperature gives that

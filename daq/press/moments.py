@@ -261,7 +261,8 @@ def _kink_table(ramps: tuple[float, ...]) -> Array:
     """Return how a face departs from its trend when its flux changes: lag x ramp x time since."""
     time = STEP_S * np.arange(int(4 * REACH_S / STEP_S) + 1)
     ramp = np.array(ramps)[:, None]
-    shape = (time**1.5 - np.clip(time - ramp, 0.0, None) ** 1.5) / (1.5 * ramp)
+    late = np.clip(time - ramp, 0.0, None)
+    shape = 2.0 * (time * np.sqrt(time) - late * np.sqrt(late)) / (3 * ramp)  # mean of √t over the ramp
     return np.stack([_lagged(shape, lag) for lag in LAGS_S])
 
 

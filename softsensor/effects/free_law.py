@@ -79,6 +79,8 @@ HEAT_UNIT = 1e3
 """From the unit in which a law of heat is shown. [J/m³K per kJ/m³K]"""
 SOURCE_UNIT = 1e3
 """From the unit in which a law of a source is shown. [W/m³ per kW/m³]"""
+STRONGEST = 10.0
+"""A further run shows at most so many times what the runs before it did. By hand, 2026-11."""
 STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
 LEAST_LOAD, MOST_LOAD = "least_load", "most_load"
 REFERENCE = 0.0
@@ -281,7 +283,7 @@ def _parameters(knots: int, unit: str, ends: Sequence[Parameter], most: float = 
     `most`: a value at a knot lies between this and its negative.
     """
     yield Parameter(
-        STRENGTH, "-", 0.0, 1.0, -10.0, 10.0, "1 where a further run shows what the runs before it did"
+        STRENGTH, "-", 0.0, 1.0, -STRONGEST, STRONGEST, "1 where a further run shows what the runs before it did"
     )
     yield from ends
     for knot in range(knots):

@@ -30,13 +30,14 @@ from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.signals.doubt import ALLOWED
 from softsensor.signals.instrument import SPREAD_RUNS
 from softsensor.signals.student import student
 from softsensor.signals.unknown import BAND, CENTRAL, FAR_LOG
 
 # Numbers without another source were set by hand, 2026-11.
 
-LIMITS_SD, LEAST_PRIOR = 4.0, 1e-3
+LIMITS_SD, LEAST_PRIOR = 2.0 * ALLOWED, 1e-3
 """A coefficient's limits lie so many standard deviations apart, their 95 %; of its logarithm one is at least so
 much."""
 BOOTSTRAPS = 4000

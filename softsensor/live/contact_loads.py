@@ -18,8 +18,8 @@ from daq.records import Array
 from softsensor.effects.contact_load import LEAST_LOAD
 from softsensor.heat.case import Case
 
-MOST = 100.0
-"""Largest load of the table, as a multiple of the reference; beyond, the factor stays. By hand, 2026-11."""
+MOST = 1.0 / LEAST_LOAD
+"""Largest load of the table, as a multiple of the reference: as far up as down; beyond, the factor stays."""
 
 
 class HeldLoads:

@@ -33,6 +33,7 @@ from softsensor.planning.made_up import (
     KINETICS,
     ROW_S,
     SHARE,
+    STEAM_ROWS,
     Courses,
     Ensemble,
     Programme,
@@ -63,8 +64,6 @@ DEFAULT_RANGES: Ranges = MappingProxyType(
 shortest a press can do to three times the longest."""
 KWH_J = 3.6e6
 """Joules of a kilowatt hour, by definition."""
-STEAM_ROWS = 5
-"""Steam, which follows the whole panel, is worked out at every fifth press time, straight in between."""
 Progress = Callable[[str, float], None]
 
 

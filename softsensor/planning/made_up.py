@@ -43,6 +43,8 @@ SEED = 22
 
 ROW_S = 1.0
 """Rows of a made-up run. [s]"""
+STEAM_ROWS = 5
+"""Steam, which follows the whole panel, is worked out at every fifth row, straight in between."""
 
 
 def nodes(count: int) -> tuple[Array, Array]:

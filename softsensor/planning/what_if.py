@@ -28,14 +28,14 @@ from softsensor.heat.batch import solve_many
 from softsensor.heat.model_file import ModelFile
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
 from softsensor.opening.steam import MOISTURE
-from softsensor.planning.made_up import KINETICS, Drawn, draw, steam_of
+from softsensor.planning.made_up import KINETICS, STEAM_ROWS, Drawn, draw, steam_of
 from softsensor.planning.program import FACTORS, designed_run, settings_of
 from softsensor.signals.unknown import BAND
 
 WETTER = "moisture_percent"
 """A setting beside those of `FACTORS`, which a press operator cannot set but a supplier can."""
-ROWS, STEAM_ROWS = 300, 60
-"""Of an answer at most, and of its steam, straight in between: enough for a picture. By hand, 2026-11."""
+ROWS = 300
+"""Of an answer at most: enough for a picture. By hand, 2026-11."""
 LONGEST_S = 1200.0
 """A longer pressing is refused: it would keep a server busy. By hand, 2026-11. [s]"""
 
@@ -192,7 +192,7 @@ class _Solved:
     def steam(self, resin: Resin | None, live: LiveAndDrawn | None) -> Band:
         """Return the steam, near normal in ln p; not known without the panel's moisture."""
         rows = self.layers.shape[1]
-        thin = np.unique(np.linspace(0, rows - 1, STEAM_ROWS).astype(int))
+        thin = np.unique(np.linspace(0, rows - 1, ROWS // STEAM_ROWS).astype(int))
         pressure = steam_of(self.drawn, self.layers[:, thin], resin)
         log = Band.of(np.log(pressure), live)
         return Band(*(np.exp(np.interp(np.arange(rows), thin, x)) for x in (log.middle, log.low, log.high)))

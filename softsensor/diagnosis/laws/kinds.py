@@ -56,6 +56,8 @@ SOURCE_SIZE = HEAT_SIZE / 10.0
 """Of a law of a source: what heats such wood by 1 K in 10 s. [kW/m³]"""
 POINTS = 33
 """Of a curve that is handed out."""
+HEAVIEST = 40.0
+"""No weight of a law, of which one standard deviation is 1, is larger."""
 
 
 @dataclass(frozen=True)
@@ -261,7 +263,7 @@ def _effect(
     kind: LawOf, smooth: Smooth, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
 ) -> Effect:
     parameters = tuple(
-        Parameter(f"w{i}", "-", 0.0, 1.0, -40.0, 40.0, "weight of a free law, no physical number")
+        Parameter(f"w{i}", "-", 0.0, 1.0, -HEAVIEST, HEAVIEST, "weight of a free law, no physical number")
         for i in range(smooth.factor.shape[1])
     )
     return Effect(f"law_{kind}", parameters, terms, SOURCE, nonlinear=nonlinear)
