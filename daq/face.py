@@ -31,7 +31,7 @@ from daq.press.press_file import Press, overridden, read_press
 from daq.press.wires import Wires
 from daq.printed import in_short
 from daq.records import Channel, InputError, Moments, Quality, Run, Scan
-from daq.store.recording import remarks_in
+from daq.store.imports import remarks_in
 from daq.store.records import NewRun, RunEnd, every
 from daq.store.store import Store
 from daq.store.store import open_store as open_database

@@ -1,206 +1,33 @@
-"""What recorder and import write: presses, scans, press events, runs. Each function works in one transaction."""
+"""What the recorder writes: scans, press events, runs. Each function works in one transaction."""
 
 from __future__ import annotations
 
-import itertools
-import json
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
-from sqlalchemy import Connection, and_, func, insert, select, text, true, update
+from sqlalchemy import Connection, and_, func, insert, select, true, update
 from sqlalchemy.exc import IntegrityError
 
 from daq.address import masked
-from daq.files.qualities import QUALITY, row_faults
 from daq.press.header import new_doubts
-from daq.records import Channel, InputError, PressEvent, Quality, Run, Scan
-from daq.store.convert import faults_json, header_of, header_text, known_utc, null, readings_json, unix_of
+from daq.records import PressEvent, Scan
+from daq.store.convert import faults_json, readings_json, unix_of
 from daq.store.journal import log
 from daq.store.last_written import LastWritten
 from daq.store.next_panel import take_next_panel
-from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
-from daq.store.reading import has_run, run_row
-from daq.store.records import (
-    NewRun,
-    NumbersTaken,
-    PressGone,
-    PressKey,
-    RunChange,
-    RunEnd,
-    RunStatus,
-    ScansUnreadable,
-)
+from daq.store.press_layouts import inserted
+from daq.store.reading import has_run
+from daq.store.records import NewRun, NumbersTaken, PressKey, RunEnd, RunStatus, ScansUnreadable
 from daq.store.run_ends import changes_of_short
-from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
+from daq.store.run_headers import header_columns
+from daq.store.schema import CONFIGURATION, PRESS, PRESS_EVENT, RUN, SCAN
 from daq.store.sound_rows import rows_with_damage, stored_header
-from daq.tables import unseen
 from daq.words import say
 
 PROCESS = "record"
 """Who the journal says found out what a write brings to light."""
-Kind = Literal["recorded", "imported"]
-_NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]+")
-"""A run's name is a file's name on export, part of a URL, and a cell of a list."""
-
-# Numbers without another source were set by hand, 2026-11.
-
-_LONGEST_RUN_NAME = 200
-"""A file system takes 255, an ending and a draft's sign among them. [bytes]"""
-_ROWS_AT_ONCE = 1 << 13
-"""Rows of a run imported in one statement: a long run never stands in memory twice."""
-
-
-def register_press(
-    connection: Connection, name: str, channels: Sequence[Channel], press_file: str = "", kind: Kind = "recorded"
-) -> PressKey:
-    """Return the press's key, made or brought up to date."""
-    now = unix_of(datetime.now(UTC))
-    row = connection.execute(select(PRESS).where(PRESS.c.name == name, PRESS.c.kind == kind)).first()
-    if row is None:
-        press_id = _inserted(connection, PRESS, name=name, kind=kind, press_file=press_file, created_unix_s=now)
-    else:
-        press_id = int(row.press_id)
-        if press_file and press_file != row.press_file:
-            connection.execute(update(PRESS).where(PRESS.c.press_id == press_id).values(press_file=press_file))
-    layout_id = (
-        layout_of(connection, press_id, name, channels)
-        if kind == "recorded"
-        else _layout(connection, press_id, channels, now)
-    )
-    return PressKey(press_id, name, layout_id, tuple(channels), _next_number(connection, press_id))
-
-
-def layout_of(connection: Connection, press_id: int, press: str, channels: Sequence[Channel]) -> int:
-    """Return the number of a recorded press's layout, made where it is new; the press's view shows it."""
-    layout_id = _layout(connection, press_id, channels, unix_of(datetime.now(UTC)))
-    _make_view(connection, press, press_id, layout_id, channels)
-    return layout_id
-
-
-def with_layouts(connection: Connection, keys: Iterable[PressKey]) -> dict[PressKey, PressKey]:
-    """Return keys by themselves with the layouts their channels have in the store now, made where they lack.
-
-    A store that went back to an older state may lack a layout, or have given its number to another press.
-    """
-    asked = dict.fromkeys(keys)
-    ids = {key.press_id for key in asked}
-    newest = select(func.max(LAYOUT.c.layout_id), LAYOUT.c.press_id, LAYOUT.c.columns_json)
-    grouped = newest.where(LAYOUT.c.press_id.in_(ids)).group_by(LAYOUT.c.press_id, LAYOUT.c.columns_json)
-    there = {(press_id, columns): number for number, press_id, columns in connection.execute(grouped)}
-    found = {}
-    for key in asked:
-        number = there.get((key.press_id, _columns(key.channels)))
-        if number is None:
-            number = layout_of(connection, key.press_id, key.name, key.channels)
-        found[key] = replace(key, layout_id=number)
-    return found
-
-
-def _columns(channels: Sequence[Channel]) -> str:
-    return json.dumps([[c.name, c.unit] for c in channels], ensure_ascii=False)
-
-
-def _layout(connection: Connection, press_id: int, channels: Sequence[Channel], now: float) -> int:
-    columns = _columns(channels)
-    same = select(func.max(LAYOUT.c.layout_id)).where(
-        LAYOUT.c.press_id == press_id, LAYOUT.c.columns_json == columns
-    )
-    found = connection.execute(same).scalar()
-    if found is not None:
-        return int(found)
-    return _inserted(connection, LAYOUT, press_id=press_id, columns_json=columns, created_unix_s=now)
-
-
-def _next_number(connection: Connection, press_id: int) -> int:
-    scan = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == press_id)).scalar()
-    run = connection.execute(select(func.max(RUN.c.last_scan)).where(RUN.c.press_id == press_id)).scalar()
-    return max(-1 if scan is None else scan, -1 if run is None else run) + 1
-
-
-def _make_view(
-    connection: Connection, name: str, press_id: int, layout_id: int, channels: Sequence[Channel]
-) -> None:
-    """Make ``scan_of_<press>``: the newest layout's scans under real channel names, for any SQL tool."""
-    view = _quoted(_view_name(connection, name, press_id))
-    if connection.dialect.name == "sqlite":
-        values = [f"json_extract(readings, '$[{i}]')" for i in range(len(channels))]
-        utc = "strftime('%Y-%m-%dT%H:%M:%fZ', unix_s, 'unixepoch')"
-    else:
-        values = [f"(readings::json ->> {i})::double precision" for i in range(len(channels))]
-        utc = "to_timestamp(unix_s) AT TIME ZONE 'UTC'"
-    plain = [c.name + ("_celsius" if c.unit == "C" else "") for c in channels]
-    titles = _distinct(plain, range(len(plain)), _OWN_COLUMNS)
-    named = [f"{value} AS {_quoted(title)}" for title, value in zip(titles, values, strict=True)]
-    columns = ", ".join([*_OWN_COLUMNS[:1], f"{utc} AS utc", "monotonic_s", *named, "faults"])
-    connection.execute(text(f"DROP VIEW IF EXISTS {view}"))
-    body = f"CREATE VIEW {view} AS SELECT {columns} FROM scan"
-    connection.exec_driver_sql(
-        f"{body} WHERE press_id = {press_id} AND layout_id = {layout_id}".replace("%", "%%")
-        if connection.dialect.name == "postgresql"
-        else f"{body} WHERE press_id = {press_id} AND layout_id = {layout_id}"
-    )
-
-
-_OWN_COLUMNS = ("number", "utc", "monotonic_s", "faults")
-_LONGEST_NAME = 63
-"""A server cuts longer names off without a word. [bytes] (PostgreSQL, NAMEDATALEN - 1)"""
-
-
-def _view_name(connection: Connection, press: str, press_id: int) -> str:
-    """Return the name of a press's view; of presses an engine takes for the same the first has the plain one."""
-    recorded = select(PRESS.c.press_id, PRESS.c.name).where(PRESS.c.kind == "recorded").order_by(PRESS.c.press_id)
-    rows = connection.execute(recorded).all()
-    names = _distinct([_plain(row.name) for row in rows], [row.press_id for row in rows])
-    place = [row.press_id for row in rows].index(press_id)
-    return names[place]
-
-
-def _plain(press: str) -> str:
-    return "scan_of_" + "".join(c if c.isalnum() else "_" for c in press)
-
-
-def _distinct(names: Sequence[str], numbers: Sequence[int], taken: Sequence[str] = ()) -> list[str]:
-    """Return names that differ for every engine from one another and those taken; an earlier one stays plain."""
-    used, distinct = set(taken), []
-    for name, number in zip(names, numbers, strict=True):
-        tries = itertools.chain([""], (f"_{number}" + "_" * more for more in itertools.count()))
-        short = next(one for ending in tries if (one := _cut(name, ending)).casefold() not in used)
-        used.add(short.casefold())
-        distinct.append(short)
-    return distinct
-
-
-def _cut(name: str, ending: str = "") -> str:
-    """Return a name with an ending, no longer than an engine keeps."""
-    room = _LONGEST_NAME - len(ending.encode())
-    return name.encode()[:room].decode("utf-8", "ignore") + ending
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'
-
-
-def newest_of(connection: Connection, keys: Iterable[PressKey], store: str) -> dict[str, int]:
-    """Return the number of the newest scan the store has of each press, by its name; -1 without one.
-
-    Raises `PressGone` for those it does not have under that number and name: it may have another press under the
-    number. `store` is for its message.
-    """
-    asked_for = list(dict.fromkeys(keys))
-    if not asked_for:
-        return {}
-    newest = select(func.max(SCAN.c.number)).where(SCAN.c.press_id == PRESS.c.press_id).scalar_subquery()
-    numbers = {key.press_id for key in asked_for}
-    asked = select(PRESS.c.press_id, PRESS.c.name, newest.label("newest")).where(PRESS.c.press_id.in_(numbers))
-    rows = {int(row.press_id): row for row in connection.execute(asked)}
-    gone = [key for key in asked_for if key.press_id not in rows or rows[key.press_id].name != key.name]
-    if gone:
-        raise PressGone(say("store-press-gone", store=store, press=gone[0].name), gone)
-    return {row.name: -1 if row.newest is None else int(row.newest) for row in rows.values()}
 
 
 def end_runs_left_open(
@@ -299,7 +126,7 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
             "zero_monotonic_s": new.zero_monotonic_s,
             "first_scan": new.first_scan,
             "configuration_id": _configuration(connection, new.configuration),
-            **_header_columns(header),
+            **header_columns(header),
         },
     )
 
@@ -363,28 +190,6 @@ def _end_run(connection: Connection, key: PressKey, end: RunEnd) -> None:
     connection.execute(update(RUN).where(RUN.c.run == row.run).values(**ended))
 
 
-def _header_columns(header: Mapping[str, Any]) -> dict[str, Any]:
-    thickness = header.get("panel.thickness_mm")
-    material = header.get("panel.material")
-    return {
-        "panel_material": None if material is None else str(material),
-        "panel_thickness_mm": null(thickness) if isinstance(thickness, int | float) else None,
-        "header_toml": header_text({key: value for key, value in header.items() if key != REMARK}),
-        "remark": str(header.get(REMARK, "")),
-        "software_version": software_version(),
-    }
-
-
-def software_version() -> str:
-    """Return the installed version, for the record."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("kerntemp")
-    except PackageNotFoundError:
-        return "uninstalled"
-
-
 def _configuration(connection: Connection, content: str) -> int | None:
     if not content:
         return None
@@ -394,7 +199,7 @@ def _configuration(connection: Connection, content: str) -> int | None:
     ).scalar()
     if found is not None:
         return int(found)
-    return _inserted(connection, CONFIGURATION, text=content, created_unix_s=unix_of(datetime.now(UTC)))
+    return inserted(connection, CONFIGURATION, text=content, created_unix_s=unix_of(datetime.now(UTC)))
 
 
 def _append_event(connection: Connection, key: PressKey, event: PressEvent, number: int) -> None:
@@ -479,149 +284,3 @@ def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
     """Return ``press-date-NN`` with the next free number of the day."""
     prefix = f"{press}-{when:%Y-%m-%d}-"
     return f"{prefix}{_next_free(connection, prefix, 0):02d}"
-
-
-def import_run(connection: Connection, run: Run, press: str, press_file: str = "") -> str:
-    """Store a run from elsewhere whole; raises `InputError` where its name is taken or no name.
-
-    When it was stays unknown where the file does not say.
-    """
-    _check_name(run)
-    if has_run(connection, run.name):
-        raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
-    origin = columns_from_header(run.header, run.source or run.name)
-    channels = tuple(Channel(name, _unit(name)) for name in run.columns)
-    key = register_press(connection, press, channels, press_file, "imported")
-    number = key.next_number
-    count, faults = len(run.time_s), row_faults(run)
-    for first in range(0, count, _ROWS_AT_ONCE):
-        connection.execute(insert(SCAN), list(_imported_scans(run, first, faults, key)))
-    append_remarks(connection, key, ((number + i, texts) for i, texts in remarks_in(run)))
-    started = origin.get("started_unix_s")
-    lasted_s = float(run.time_s[-1] - run.time_s[0]) if count else 0.0
-    connection.execute(
-        insert(RUN),
-        {
-            "run": run.name,
-            "press_id": key.press_id,
-            "status": RunStatus.CLOSED.value,
-            "started_unix_s": started,
-            "ended_unix_s": None if started is None else min(started + lasted_s, LATEST_UNIX_S),
-            "zero_monotonic_s": 0.0,
-            "first_scan": number,
-            "last_scan": number + count - 1,
-            **_header_columns({**run.header, "run": run.name}),
-            **origin,
-        },
-    )
-    return run.name
-
-
-def _imported_scans(
-    run: Run, first: int, faults: Sequence[Mapping[str, Quality]] | None, key: PressKey
-) -> Iterator[dict[str, Any]]:
-    """Yield a piece of a run, from a row on, as rows of the table of scans."""
-    part = slice(first, first + _ROWS_AT_ONCE)
-    times = run.time_s[part].tolist()
-    cells = (
-        zip(*(c[part].tolist() for c in run.columns.values()), strict=True)
-        if run.columns
-        else itertools.repeat(())
-    )
-    named_in = faults[part] if faults else itertools.repeat({})
-    rows = zip(times, cells, named_in, strict=False)  # what repeats has no end
-    for i, (time_s, values, named) in enumerate(rows, key.next_number + first):
-        yield {
-            "press_id": key.press_id,
-            "number": i,
-            "unix_s": None,
-            "monotonic_s": time_s,
-            "layout_id": key.layout_id,
-            "readings": readings_json(values),
-            "faults": json.dumps(named, separators=(",", ":")) if named else None,
-        }
-
-
-def remarks_in(run: Run) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield by row what a run's text columns say, but for qualities that are kept as such."""
-    columns = {n: texts for n, texts in run.texts.items() if n != QUALITY or row_faults(run) is None}
-    for i, row in enumerate(zip(*columns.values(), strict=True)):
-        if texts := {name: text for name, text in zip(columns, row, strict=True) if text}:
-            yield i, texts
-
-
-def append_remarks(
-    connection: Connection, key: PressKey, remarks: Iterable[tuple[int, Mapping[str, str]]]
-) -> None:
-    """Write beside scans, by their number, what text columns say of them."""
-    rows = (
-        {"press_id": key.press_id, "number": number, "texts_json": json.dumps(texts, ensure_ascii=False)}
-        for number, texts in remarks
-    )
-    while rows_at := list(itertools.islice(rows, _ROWS_AT_ONCE)):
-        connection.execute(insert(SCAN_REMARK), rows_at)
-
-
-def _check_name(run: Run) -> None:
-    given = run.header.get("run", run.name)
-    fits = _NAME.fullmatch(run.name) and len(run.name.encode("utf-8", "replace")) <= _LONGEST_RUN_NAME
-    if isinstance(given, list | bool) or not fits or unseen(run.name) or run.name != run.name.strip():
-        raise InputError(say("store-run-name", file=run.source or "run", name=repr(given)))
-
-
-def _unit(column: str) -> str:
-    return "C" if column.partition("_")[0] in ("platen", "top", "bottom", "core", "T") else ""
-
-
-def annotate_run(connection: Connection, run: str, changes: Mapping[str, Any], who: str) -> None:
-    """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept.
-
-    Raises `InputError` where there is no such run, `ScansUnreadable` where its header is damaged.
-    """
-    row = run_row(connection, run)
-    header, remark = stored_header(connection, row), row.remark
-    if "run" in changes:
-        raise InputError(say("store-run-renamed", run=run))
-    now = unix_of(datetime.now(UTC))
-    for field, after in changes.items():
-        before = remark if field == "remark" else header.get(field)
-        if field == "remark":
-            remark = str(after)
-        elif after is None:
-            header.pop(field, None)
-        else:
-            header[field] = after
-        connection.execute(
-            insert(RUN_CHANGE),
-            {
-                "run": run,
-                "unix_s": now,
-                "who": who,
-                "field": field,
-                "before_toml": None if before is None else header_text({"value": before}),
-                "after_toml": None if after is None else header_text({"value": after}),
-            },
-        )
-    columns = {k: v for k, v in _header_columns(header).items() if k != "software_version"}
-    connection.execute(update(RUN).where(RUN.c.run == run).values({**columns, "remark": remark}))
-
-
-def run_changes(connection: Connection, run: str) -> list[RunChange]:
-    """Return the edits of a run's metadata, oldest first."""
-    rows = connection.execute(
-        select(RUN_CHANGE).where(RUN_CHANGE.c.run == run).order_by(RUN_CHANGE.c.run_change_id)
-    ).all()
-    return [
-        RunChange(known_utc(r.unix_s), r.who, r.field, _value(r.before_toml), _value(r.after_toml)) for r in rows
-    ]
-
-
-def _value(content: str | None) -> Any:
-    return None if content is None else header_of(content).get("value")
-
-
-def _inserted(connection: Connection, table: Any, **values: Any) -> int:
-    key = connection.execute(insert(table), values).inserted_primary_key
-    if key is None:
-        raise AssertionError("insert gave no key")
-    return int(key[0])

@@ -22,13 +22,16 @@ from daq.store import (
     archived,
     cores,
     envelope,
+    imports,
     journal,
     next_panel,
     night_lock,
     nights,
+    press_layouts,
     reading,
     recording,
     results,
+    run_headers,
     run_scans,
     standing,
     upkeep,
@@ -113,13 +116,13 @@ class Store:
 
     # --- recorder -----------------------------------------------------------------------------------
 
-    register_press = _writes(recording.register_press)
+    register_press = _writes(press_layouts.register_press)
     append_scans = _writes(recording.append)
-    append_remarks = _writes(recording.append_remarks)
+    append_remarks = _writes(imports.append_remarks)
     interrupt_open_runs = _writes(recording.interrupt_open_runs)
     unused_run_name = _reads(recording.unused_run_name)
-    import_run = _writes(recording.import_run)
-    annotate_run = _writes(recording.annotate_run)
+    import_run = _writes(imports.import_run)
+    annotate_run = _writes(run_headers.annotate_run)
     put_next_panel = _writes(next_panel.put_next_panel)
     recipes = _reads(next_panel.recipes)
     next_panel = _reads(next_panel.next_panel)
@@ -133,16 +136,16 @@ class Store:
         """Write several batches of `append_scans` and journal lines in one commit.
 
         In a store that lacks what was written `so_far`, runs that are open without being the one under way are
-        over. Returns by press what `recording.newest_of` gave before. Raises `PressGone` where another store is
-        there.
+        over. Returns by press what `press_layouts.newest_of` gave before. Raises `PressGone` where another store
+        is there.
         """
         if not batches and not lines:
             return {}
         with self.database.writing() as connection:
             self.database.check_whole(connection)
-            newest = recording.newest_of(connection, (p.key for p in batches), self.label)
+            newest = press_layouts.newest_of(connection, (p.key for p in batches), self.label)
             recording.end_runs_left_open(connection, newest, so_far or {})
-            keys = recording.with_layouts(connection, (p.key for p in batches))
+            keys = press_layouts.with_layouts(connection, (p.key for p in batches))
             for p in in_rows(batches):
                 recording.append(connection, keys[p.key], p.scans, p.events, p.begin, p.end)
             journal.write_new(connection, lines)
@@ -156,7 +159,7 @@ class Store:
     def import_runs(self, runs: Sequence[Run], press: str, press_file: str = "") -> list[str]:
         """Store several runs, all or none; returns their names."""
         with self.database.writing() as connection:
-            return [recording.import_run(connection, run, press, press_file) for run in runs]
+            return [imports.import_run(connection, run, press, press_file) for run in runs]
 
     # --- runs and scans -----------------------------------------------------------------------------
 
@@ -167,7 +170,7 @@ class Store:
     run_records = _reads(reading.run_records)
     has_run = _reads(reading.has_run)
     damaged_runs = _reads(reading.damaged_runs)
-    run_changes = _reads(recording.run_changes)
+    run_changes = _reads(run_headers.run_changes)
     run_cores = _reads(cores.run_cores)
     open_run = _reads(reading.open_run)
     ended_runs_after = _reads(reading.ended_runs_after)
