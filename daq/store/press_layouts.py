@@ -33,17 +33,17 @@ def register_press(
         if press_file and press_file != row.press_file:
             connection.execute(update(PRESS).where(PRESS.c.press_id == press_id).values(press_file=press_file))
     layout_id = (
-        layout_of(connection, press_id, name, channels)
+        layout_of(connection, press_id, channels)
         if kind == "recorded"
         else _layout(connection, press_id, channels, now)
     )
     return PressKey(press_id, name, layout_id, tuple(channels), _next_number(connection, press_id))
 
 
-def layout_of(connection: Connection, press_id: int, press: str, channels: Sequence[Channel]) -> int:
+def layout_of(connection: Connection, press_id: int, channels: Sequence[Channel]) -> int:
     """Return the number of a recorded press's layout, made where it is new; the press's view shows it."""
     layout_id = _layout(connection, press_id, channels, unix_of(datetime.now(UTC)))
-    _make_view(connection, press, press_id, layout_id, channels)
+    _make_view(connection, press_id, layout_id, channels)
     return layout_id
 
 
@@ -61,7 +61,7 @@ def with_layouts(connection: Connection, keys: Iterable[PressKey]) -> dict[Press
     for key in asked:
         number = there.get((key.press_id, _columns(key.channels)))
         if number is None:
-            number = layout_of(connection, key.press_id, key.name, key.channels)
+            number = layout_of(connection, key.press_id, key.channels)
         found[key] = replace(key, layout_id=number)
     return found
 
@@ -87,11 +87,9 @@ def _next_number(connection: Connection, press_id: int) -> int:
     return max(-1 if scan is None else scan, -1 if run is None else run) + 1
 
 
-def _make_view(
-    connection: Connection, name: str, press_id: int, layout_id: int, channels: Sequence[Channel]
-) -> None:
+def _make_view(connection: Connection, press_id: int, layout_id: int, channels: Sequence[Channel]) -> None:
     """Make ``scan_of_<press>``: the newest layout's scans under real channel names, for any SQL tool."""
-    view = _quoted(_view_name(connection, name, press_id))
+    view = _quoted(_view_name(connection, press_id))
     if connection.dialect.name == "sqlite":
         values = [f"json_extract(readings, '$[{i}]')" for i in range(len(channels))]
         utc = "strftime('%Y-%m-%dT%H:%M:%fZ', unix_s, 'unixepoch')"
@@ -116,7 +114,7 @@ _LONGEST_NAME = 63
 """A server cuts longer names off without a word. [bytes] (PostgreSQL, NAMEDATALEN - 1)"""
 
 
-def _view_name(connection: Connection, press: str, press_id: int) -> str:
+def _view_name(connection: Connection, press_id: int) -> str:
     """Return the name of a press's view; of presses an engine takes for the same the first has the plain one."""
     recorded = select(PRESS.c.press_id, PRESS.c.name).where(PRESS.c.kind == "recorded").order_by(PRESS.c.press_id)
     rows = connection.execute(recorded).all()

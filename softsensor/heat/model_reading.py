@@ -58,7 +58,7 @@ def parse_model(content: Any, source: str | Message) -> ModelFile:
         effects=tuple(_effects(content.get("effects", ()), source)),
         names=_part("covariance", source, lambda: tuple(map(str, covariance["names"]))),
         covariance=_part("covariance", source, lambda: _square(covariance["matrix"])),
-        missing=_optional("adequacy", content, source, _missing_causes),
+        missing=_optional("adequacy", content, source, lambda table: _missing_causes(table, source)),
         scatter=_optional("scatter", content, source, _scatter) or {},
         panels=_optional("panels", content, source, _panels) or (),
         sisters=_optional("sisters", content, source, _sisters),
@@ -81,10 +81,10 @@ def _part(key: str, source: str | Message, read: Callable[[], Found]) -> Found:
 
 
 def _optional(
-    key: str, content: Mapping[str, Any], source: str | Message, read: Callable[[Any, str | Message], Found]
+    key: str, content: Mapping[str, Any], source: str | Message, read: Callable[[Any], Found]
 ) -> Found | None:
     """Return what an optional part says, None where the file has none."""
-    return _part(key, source, lambda: read(content[key], source)) if content.get(key) else None
+    return _part(key, source, lambda: read(content[key])) if content.get(key) else None
 
 
 def _square(rows: Any) -> Array:
@@ -121,7 +121,7 @@ def _effects(entries: Any, source: str | Message) -> Iterator[tuple[str, Mapping
         yield name, _estimates(entry.get("parameters", {}), source, f"effects.{number}.parameters")
 
 
-def _sisters(entry: Any, source: str | Message) -> Sisters:
+def _sisters(entry: Any) -> Sisters:
     scatter = {
         name: SisterScatter(_within(s["between"], _TINY), _within(s["within"], _TINY))
         for name, s in entry["scatter"].items()
@@ -129,13 +129,13 @@ def _sisters(entry: Any, source: str | Message) -> Sisters:
     return Sisters(tuple(map(str, entry["presses"])), scatter)
 
 
-def _panels(table: Any, source: str | Message) -> tuple[PressedPanel, ...]:
+def _panels(table: Any) -> tuple[PressedPanel, ...]:
     lower, upper = _THICKNESS.lower, _THICKNESS.upper
     found = (PressedPanel(_within(p["thickness_mm"], lower, upper), int(_within(p["runs"], 1))) for p in table)
     return tuple(sorted(found, key=lambda p: p.thickness_mm))
 
 
-def _scatter(table: Any, source: str | Message) -> dict[str, Scatter]:
+def _scatter(table: Any) -> dict[str, Scatter]:
     found = {}
     for key, entry in table.items():
         sd = _within(entry["sd"], _TINY)
