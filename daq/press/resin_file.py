@@ -37,8 +37,8 @@ class ResinTable(Table):
     name: str = Field(min_length=1)
     source: str = Field(min_length=1)
     """Who measured them, on what, where published."""
-    verified: Yes = False
-    """Whether someone has compared the numbers with the source."""
+    verified: Yes | None = None
+    """Whether someone has compared the numbers with the source; where it says that nobody has, a prediction says so too."""
     example: Yes = False
     """Not of a resin anybody presses: to be replaced by its own measurements."""
 

@@ -1354,6 +1354,7 @@ resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier 
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
 resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
 resin-no-moisture = { $key } fehlt im Kopf oder ist 0, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
+resin-not-verified = die Zahlen des Harzes „{ $name }“ sind nicht mit ihrer Quelle verglichen; vergleichen, dann verified = true in die Harzdatei eintragen
 steam-limit-no-marks = { $runs ->
         [one] von der einen als good oder blister markierten Pressung ist der Dampf beim Öffnen nicht bekannt
        *[other] von keiner der { $runs } als good oder blister markierten Pressungen ist der Dampf beim Öffnen bekannt

@@ -1336,6 +1336,7 @@ resin-is-example = the resin "{ $name }" is an example; measure the paper at han
 resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
 resin-no-limits = the resin file has no limit in [limits], so open_now stays 0; set cure_least
 resin-no-moisture = { $key } is missing or 0 in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
+resin-not-verified = the numbers of the resin "{ $name }" have not been compared with their source; compare them, then set verified = true in the resin file
 steam-limit-no-marks = { $runs ->
         [one] for the one run marked good or blister the steam at opening is not known
        *[other] for none of { $runs } runs marked good or blister is the steam at opening known

@@ -52,6 +52,8 @@ def resin_remarks(resin: Resin, header: Mapping[str, Any]) -> tuple[Message, ...
     found = []
     if resin.resin.example:
         found.append(say("resin-is-example", name=resin.resin.name))
+    elif resin.resin.verified is False:
+        found.append(say("resin-not-verified", name=resin.resin.name))
     if not resin.limits.any:
         found.append(say("resin-no-limits"))
     if resin.limits.steam_most_kPa is not None and not header.get(MOISTURE):

@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, LimitsTable, OrderLaw, parse_resin, read_resin
 from daq.records import InputError
 from softsensor.effects.resin_cure import ACTIVATION, RATE
+from softsensor.live.curing import resin_remarks
 from softsensor.opening.kinetics import Course, CureProgress, advance, equivalent_course, kinetics_of
 from softsensor.opening.limits import Broken, Normal, PanelState, broken, either_below, opening
 from softsensor.opening.steam import equilibrium_moisture, saturation_kPa, steam_pressure, steam_with_slopes
@@ -269,6 +270,16 @@ def test_examples_say_that_they_are_examples_and_where_from(file):
     law = kinetics_of(resin)
     assert law.log_rate_sd > 0
     assert law.energy_sd > 0
+
+
+def test_of_a_resin_whose_numbers_nobody_compared_with_their_source_a_prediction_says_so():
+    example = read_resin(RESINS / "melamine_formaldehyde.toml")
+    said = {}
+    for verified in (None, False, True):
+        resin = example.resin.model_copy(update={"example": False, "verified": verified})
+        remarks = resin_remarks(example.model_copy(update={"resin": resin}), {})
+        said[verified] = [one.code for one in remarks if one.code != "resin-no-moisture"]
+    assert said == {None: [], False: ["resin-not-verified"], True: []}
 
 
 @pytest.mark.parametrize(
