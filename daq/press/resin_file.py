@@ -38,7 +38,7 @@ class ResinTable(Table):
     source: str = Field(min_length=1)
     """Who measured them, on what, where published."""
     verified: Yes | None = None
-    """Whether someone has compared the numbers with the source; where it says that nobody has, a prediction says so too."""
+    """Whether someone has compared the numbers with the source; where nobody has, a prediction says so."""
     example: Yes = False
     """Not of a resin anybody presses: to be replaced by its own measurements."""
 

@@ -20,7 +20,7 @@ from api.plant import following, leave, mqtt, opcua, service
 from daq.process.config import MqttSettings, OpcuaSettings, load_config
 from daq.store import open_store
 from daq.store.waiting import ending_reported
-from softsensor.jobs import guarded, live_model, live_service, run_fits
+from softsensor.jobs import guarded, live_model, live_service, press_follower, run_fits
 from tests.api.test_plant_mqtt import Broker
 from tests.daq.injecting import Injector, name_of
 from tests.daq.test_recorder import plant, recording
@@ -28,7 +28,7 @@ from tests.editions import edition
 from tests.patience import wait_until
 
 MODULES = {
-    "sense": (live_service, guarded, live_model, run_fits),
+    "sense": (live_service, press_follower, guarded, live_model, run_fits),
     "publish": (service, mqtt, leave, opcua, following, present),
     "serve": (server, live, news, watch),
 }

@@ -32,9 +32,10 @@ from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.guarded import Guarded
-from softsensor.jobs.live_service import Follower, _details
 from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
+from softsensor.jobs.press_follower import Follower
 from softsensor.jobs.run_fits import RunFits
+from softsensor.jobs.stored_estimates import details_of
 from softsensor.live.sensor import ScanSensor
 from softsensor.live.validity import InvalidReason
 from tests.daq.test_kills import is_zombie
@@ -276,7 +277,9 @@ def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
         estimate = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
         if estimate.state is PressState.CLOSED:
-            foreseen.append((estimate.valid, set(_details(sensor, estimate)) - {"suspected", "reason_arguments"}))
+            foreseen.append(
+                (estimate.valid, set(details_of(sensor, estimate)) - {"suspected", "reason_arguments"})
+            )
     assert len(foreseen) > 20
     assert np.isfinite(sensor.forecast.target_in_s)  # it was worked out, of an estimate that cannot be
     assert all(not valid and not beside for valid, beside in foreseen)

@@ -17,9 +17,9 @@ from daq.store import open_store
 from softsensor.heat.model_file import FittedValue, ModelFile, Sisters, SisterScatter
 from softsensor.heat.model_reading import parse_model
 from softsensor.jobs import night_comparison, night_judgement
-from softsensor.jobs.live_service import Follower
 from softsensor.jobs.model_in_force import fingerprint, up_to_date
 from softsensor.jobs.nights import refit_presses
+from softsensor.jobs.press_follower import Follower
 from softsensor.jobs.run_fits import RunFits
 from softsensor.jobs.sisters import Sister, begin_with_sisters, learned_from, one_more
 
