@@ -150,7 +150,7 @@ def stopped_or_untold(call, process, alarms):
 @pytest.mark.parametrize("name", MODULES)
 def test_an_error_at_any_call_in_any_thread_is_told_and_work_goes_on(tmp_path, monkeypatch, name):
     monkeypatch.setattr(guarded, "RESTART_S", 0.1)
-    monkeypatch.setattr(live, "AGAIN_S", 0.1)
+    monkeypatch.setattr(live, "RESTART_S", 0.1)
     monkeypatch.setattr(service, "BEAT_S", 0.1)
     with ExitStack() as held:
         made = held.enter_context(plant(tmp_path, speed=20.0, rate_hz=1.0))

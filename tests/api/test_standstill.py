@@ -201,7 +201,7 @@ class Reading:
                 raise error
             return read(hub)
 
-        monkeypatch.setattr(live, "AGAIN_S", 0.02)
+        monkeypatch.setattr(live, "RESTART_S", 0.02)
         monkeypatch.setattr(Hub, "_read", reading)
         self._key = stored.register_press("lab", (Channel("platen_top"),))
         self._stored, self._folder = stored, folder
