@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtrc
 
 from daq.press.faces import BLIND_S
 from daq.records import Array
@@ -161,22 +162,43 @@ class KalmanFilter:
         States far from their prior follow the readings at the price of what was known before them; each
         innovation is then a usual one, and no misfit shows it.
         """
-        return max(1.0, self.misfit, self._strayed())
+        square, settled = self._strayed()
+        return max(1.0, self.misfit, square / settled)
 
-    def _strayed(self) -> float:
-        """Return the squared distance of the states from their prior over their number, a Birge ratio.
+    @property
+    def by_chance(self) -> float:
+        """Chance that readings of a right model draw the states as far from their prior as they are, or further.
 
-        Birge 1932, Phys. Rev. 40, 207. Where the model is right it is 1 in the mean at most, however much the
-        readings tell: a posterior's mean scatters by the prior's covariance without its own, to which what
-        considered parameters E are off adds.
+        At most: squares that count by shares scatter less than chi squared of as many degrees.
+        """
+        square, settled = self._strayed()
+        return float(chdtrc(settled, square))
+
+    @property
+    def core_before_C(self) -> float:  # noqa: N802
+        """Core by what was known before the run, had readings moved no state. [°C]"""
+        mean, at = self.prior[0], self.linearised.at
+        return self.core_C + float(self.linearised.model.chain.d_level @ (mean - at))
+
+    def _strayed(self) -> tuple[float, float]:
+        """Return the squared distance of the states from their prior, and its mean where the model is right.
+
+        Their ratio is Birge's (1932, Phys. Rev. 40, 207). A posterior's mean scatters by the prior's covariance
+        without its own, P, to which what considered parameters E are off adds: M = I + E E' is the measure and
+        tr M^-1 (M - P) the mean, how many states the readings have settled, here one at least. A state that no
+        reading has moved lies on its prior, and is no evidence that the others are right.
         """
         (mean, lean), free = self.prior, self.linearised.free
-        away = self.estimate.mean[: len(free)] - mean
-        away = (away - lean @ away)[free]
-        if away @ away <= len(away):
-            return 0.0
-        error = self.estimate.error[: len(free)][free]
-        return float(away @ np.linalg.solve(np.eye(len(away)) + error @ error.T, away)) / len(away)
+        p = len(free)
+        back = (np.eye(p) - lean)[free]
+        away = back @ (self.estimate.mean[:p] - mean)
+        known = back @ self.estimate.covariance[:p, :p] @ back.T
+        settled = max(len(away) - float(np.trace(known)), 1.0)
+        if away @ away <= settled:  # what the constants add brings neither of them nearer to the other
+            return float(away @ away), settled
+        error = self.estimate.error[:p][free]
+        found = np.linalg.solve(np.eye(len(away)) + error @ error.T, np.column_stack([away, known]))
+        return float(away @ found[:, 0]), max(len(away) - float(np.trace(found[:, 1:])), 1.0)
 
     @property
     def held_K(self) -> Array:  # noqa: N802

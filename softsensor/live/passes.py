@@ -210,6 +210,19 @@ class Pass:
         """Mean squared normalised innovation of the filter that does best."""
         return min(f.misfit for f in self.filters)
 
+    def far_fetched(self, false_alarm: float) -> bool:
+        """Return whether the core rests on states that a right model's readings would not have drawn so far.
+
+        By the likeliest filter, but for a share of pressings. It rests on them where it would lie beyond the band,
+        had they stayed; contacts of the open press may be as far off as they like.
+        """
+        if self.mixture is None:
+            return False
+        likeliest = self.filters[int(np.argmax([share.sum() for share in self.mixture.shares]))]
+        if self.mixture.low_C <= likeliest.core_before_C <= self.mixture.high_C:
+            return False
+        return likeliest.by_chance < false_alarm
+
     @property
     def across(self) -> float:
         """Mean squared normalised innovation after the scans' worst hole, of the filter that expects it best."""

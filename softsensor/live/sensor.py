@@ -61,6 +61,8 @@ HOLE_LIMIT = MISFIT_LIMIT
 """Mean squared normalised innovation of two faces after a hole in the scans, beyond which the clock has jumped or
 something has happened meanwhile: by chance once in 8,000 holes (chi squared of two beyond 18). Six virtual
 pressings: 0.1 to 0.4 after 25 s without scans, 10 and more after a clock that jumps by 25 s."""
+FALSE_ALARM = math.exp(-HOLE_LIMIT)
+"""Chance of a right model's states to be drawn beyond what is allowed: that of `HOLE_LIMIT`."""
 WIDEST_K = 25.0
 """Half-width of a band beyond which the core is not observable. Set by hand, 2026-11. [K]"""
 OF_THE_CORE_ALONE = (InvalidReason.BAND_TOO_WIDE, InvalidReason.ANOTHER_PANEL)
@@ -339,7 +341,8 @@ def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float)
         return invalid
     if run.setup.unknown_constants:
         return Invalid(InvalidReason.CONSTANTS_UNKNOWN)
-    if (current.misfit > MISFIT_LIMIT and not mixture.by_faces) or current.across > HOLE_LIMIT:
+    far = current.misfit > MISFIT_LIMIT or current.far_fetched(FALSE_ALARM)
+    if (far and not mixture.by_faces) or current.across > HOLE_LIMIT:
         return Invalid(InvalidReason.READINGS_CONTRADICT_MODEL)
     if (invalid := run.press.unseen(time_s, overtaken=run.passes.overtaken)) is not None:
         return invalid

@@ -487,6 +487,7 @@ def test_states_far_from_what_was_known_of_them_widen_the_band_as_a_birge_ratio(
     """Readings that only a state eight deviations off can follow are a usual innovation each.
 
     Of a state that a constant in doubt may have moved by half a deviation so much is a constant's, 1 + 0.5² of it.
+    The ratio is to how many states the readings have settled: all less what is left of their variances.
     """
     run, truth = pressing
     sensor, _ = followed(run.at_rows(run.time_s < truth.moments.closed_s + 40.0))
@@ -499,10 +500,18 @@ def test_states_far_from_what_was_known_of_them_widen_the_band_as_a_birge_ratio(
             start = one.linearised.names.index("initial_K")
             one.misfit, one.estimate.mean[start], one.estimate.error[start, 0] = 0.0, off, error
         variances.append(mix(current.filters, 0.0).components.variance[0])
-    free = [prior for prior in current.filters[0].linearised.priors if not prior.considered]
-    assert current.filters[0].excess == pytest.approx(square / len(free))
+    one = current.filters[0]
+    mean, lean = one.prior
+    free = one.linearised.free
+    left = ((np.eye(len(mean)) - lean) @ one.estimate.covariance[: len(mean), : len(mean)])[free][:, free]
+    left = left - (left @ lean[free][:, free].T)
+    share = np.ones(free.sum())
+    share[np.flatnonzero(free).tolist().index(start)] += error**2
+    settled = free.sum() - (np.diag(left) / share).sum()
+    assert 3.0 < settled < free.sum() - 1.0
+    assert one.excess == pytest.approx(square / settled)
     if error == 0.0:  # else what the constant adds is in both
-        assert variances[1] / variances[0] == pytest.approx(square / len(free))
+        assert variances[1] / variances[0] == pytest.approx(square / settled)
 
 
 def test_insulated_sides_lose_nothing():
