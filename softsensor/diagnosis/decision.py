@@ -189,7 +189,7 @@ def objections(claim: Claim, evidence: Evidence) -> set[Objection]:
     few = evidence.runs < FEW_RUNS
     against = {
         Objection.TOO_SMALL: claim.size < (SMALLEST_EXPONENT if claim.needs == Need.LOAD else SMALL_SHARE),
-        Objection.NO_GAIN_LEFT_OUT: claim.saves.sum() <= 0,
+        Objection.NO_GAIN_LEFT_OUT: claim.saves.sum() <= 0 or claim.gain.surely_worse,
         Objection.UNPHYSICAL: claim.unphysical,
         Objection.REFUTED_BY_CORES: refuted_by_cores(claim.core_K, evidence.core_K),
         Objection.CHANCE: not (claim.saves > 0).all() if few else claim.p_value > ALPHA,

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.press.moments import CLOSING_RAMPS_S
 from daq.press.press_file import Boundary, BoundaryKind, Load, Press
 from daq.records import (
     COLDEST_C,
@@ -26,7 +27,6 @@ from daq.records import (
 from daq.words import Argument, Message, say
 from softsensor.effects.contact_load import LEAST_LOAD
 from softsensor.effects.effect import Effect
-from softsensor.heat.timing import OPENING_RAMP_S
 
 LARGEST = float(np.finfo(float).max)
 """The largest number that a model can hold."""
@@ -152,9 +152,12 @@ def load_series(run: Run, load: Load) -> Array | None:
 
 
 def check_load(run: Run, load: Load, moments: Moments) -> None:
-    """Refuse a load that is not above 0 while the press is closed; an open press rests on nothing."""
-    values, t = run.columns[load.column], run.time_s
-    shut = (t > moments.closed_s + moments.ramp_s / 2) & ~(t > moments.opened_s - OPENING_RAMP_S / 2)
+    """Refuse a load that is not above 0 while the press is closed; an open press rests on nothing.
+
+    A limit switch trips anywhere in a ramp: within the longest one of a moment the load may have come, or gone.
+    """
+    values, t, ramp_s = run.columns[load.column], run.time_s, float(CLOSING_RAMPS_S[-1])
+    shut = (t > moments.closed_s + ramp_s) & ~(t > moments.opened_s - ramp_s)
     wrong = np.flatnonzero(shut & (values <= 0.0))
     if len(wrong):
         i = int(wrong[0])

@@ -280,6 +280,8 @@ load = { column = "kN" }
         ((300, 390), np.nan, None),
         ((0, 100), 0.0, None),
         ((0, 100), -0.1, None),
+        ((0, 212), 0.0, None),  # it comes with the end of the ramp of closing, after 20.3 s
+        ((0, 217), 0.0, r"load column 'kN' = 0 at time_s = 21\.6, where the press is closed"),
     ],
 )
 def test_a_load_is_held_to_the_boundarys_rule_and_above_0_while_closed(make_run, moments, rows, value, expected):

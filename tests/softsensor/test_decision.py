@@ -54,6 +54,7 @@ WEAKER = (
     ({"unphysical": True}, {Objection.UNPHYSICAL}),
     ({"gain": Gain(0.3, (-0.001, 0.6))}, {Objection.GAIN_NOT_SURE}),
     ({"gain": Gain(0.3, None)}, {Objection.GAIN_NOT_SURE}),
+    ({"gain": Gain(-0.3, (-0.5, -0.1))}, {Objection.GAIN_NOT_SURE, Objection.NO_GAIN_LEFT_OUT}),
     ({"p_value": 0.051}, {Objection.CHANCE}),
     ({"p_value": 0.05}, set()),
 )
@@ -88,6 +89,7 @@ def test_a_cause_is_taken_in_unless_one_thing_speaks_against_it(change, expected
 def test_what_only_lacks_a_sure_gain_is_suspected_and_what_lacks_more_is_not():
     unsure = replace(LOSS, gain=Gain(0.3, (-0.1, 0.7)))
     assert choose(claims(unsure)).suspected == "edge_loss"
+    assert choose(claims(replace(LOSS, gain=Gain(-0.3, (-0.5, -0.1))))).suspected == ""  # surely worse left out
     assert choose(claims(replace(unsure, p_value=0.2))).suspected == ""
     assert choose(claims(LOSS)).suspected == ""
 
