@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.press.press_file import parse_press
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.sensor import ScanSensor
 from softsensor.live.validity import InvalidReason
 
 PLATE_C, START_C, THICK_M, K, RHO, C = 220.0, 21.0, 0.016, 0.12, 450.0, 1500.0
@@ -68,7 +68,7 @@ def followed(moisture):
     """Return the estimates of a board's 600 s and the true core. [°C]"""
     truth, rng = board(moisture, 600), np.random.default_rng(2026)
     noise = rng.normal(0.0, 0.1, (len(truth), 2))
-    sensor = LiveSensor(parse_press(PRESS), HEADER)
+    sensor = ScanSensor(parse_press(PRESS), HEADER)
     said = [
         sensor.update(float(i), {"hot": PLATE_C + noise[i, 0], "bottom_1": back + noise[i, 1]})
         for i, (back, _) in enumerate(truth)
