@@ -40,7 +40,7 @@ with event.install_recorder("numba:compile") as compiled:
         softsensor.fit(run, press)
         lap("one run fitted")
     else:
-        sensor = softsensor.ScanSensor(press, run.header)
+        sensor = softsensor.LiveSensor(press, run.header)
         for i, time_s in enumerate(run.time_s[:60].tolist()):
             said = sensor.update(time_s, {name: float(values[i]) for name, values in run.columns.items()})
             if i in (0, 59):

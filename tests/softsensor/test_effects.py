@@ -478,7 +478,7 @@ def test_terms_that_fail_or_are_none_are_refused_by_the_name_of_their_effect_whe
         lambda: softsensor.simulate(run, press, model),
         lambda: softsensor.predict(run, press, model),
         lambda: softsensor.predict(run, press),  # the live sensor suspects it
-        lambda: softsensor.ScanSensor(press, run.header).update(0.0, scan),
+        lambda: softsensor.LiveSensor(press, run.header).update(0.0, scan),
         lambda: softsensor.diagnose([run], press, effects="hood"),
     ):
         with pytest.raises(InputError, match=re.escape("effect hood: ")) as refused:
