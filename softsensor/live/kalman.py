@@ -7,7 +7,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc
 
 from daq.press.faces import BLIND_S
 from daq.records import Array
@@ -171,6 +170,8 @@ class KalmanFilter:
 
         At most: squares that count by shares scatter less than chi squared of as many degrees.
         """
+        from scipy.special import chdtrc  # loads slowly, and only a core that readings have moved far asks
+
         square, settled = self._strayed()
         return float(chdtrc(settled, square))
 
