@@ -19,7 +19,7 @@ from daq.press.press_file import BoundaryKind, Press
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue, find_effect, paper_layer
 from softsensor.effects.parameters import SMALL_SHARE, Parameter
-from softsensor.heat.model_file import MissingCauses, ModelFile
+from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, PLATEN_TOTAL_K, START_K
 from softsensor.signals.unknown import Unknown
 
@@ -163,13 +163,26 @@ def coefficient_priors(press: Press, model: ModelFile | None) -> list[Unknown]:
     priors = []
     for name in press.coefficient_names:
         table = press.coefficient(name)
-        known = model.coefficients.get(name) if model is not None else None
-        value = table.guess if known is None else known.value
-        sd = GUESS_LOG if known is None else max(spread_of(value, known.sd), least)
-        if table.fixed:
-            sd = 0.01
-        priors.append(Unknown(name, float(np.log(value)), sd, log=True))
+        known = None if model is None else model.coefficients.get(name)
+        middle, sd = _known_or_guessed(table.guess, known)
+        priors.append(Unknown(name, middle, 0.01 if table.fixed else max(sd, least), log=True))
     return priors
+
+
+def _known_or_guessed(guess: float, known: FittedValue | None) -> tuple[float, float]:
+    """Return a coefficient's logarithm and its standard deviation.
+
+    What runs know less well than the guess does not replace it: the two are joined, each by its precision. Runs
+    that no model describes, or in which a coefficient does not show, leave no more than the press file's limits.
+    """
+    about = float(np.log(guess))
+    if known is None:
+        return about, GUESS_LOG
+    middle, sd = float(np.log(known.value)), spread_of(known.value, known.sd)
+    if sd <= GUESS_LOG:
+        return middle, sd
+    weight = GUESS_LOG**2 / (GUESS_LOG**2 + sd**2)
+    return weight * middle + (1.0 - weight) * about, sd * math.sqrt(weight)
 
 
 def effect_priors(model: ModelFile | None) -> list[Unknown]:
