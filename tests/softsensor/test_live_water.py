@@ -72,16 +72,22 @@ def board(moisture, seconds, cells=40, step_s=0.25, conductivity=K):
     return np.array(found)
 
 
+def run_of(moisture, conductivity=K, name="r"):
+    """Return a board's 600 s as a run, which may conduct otherwise than its header says, and its core."""
+    truth, rng = board(moisture, 600, conductivity=conductivity), np.random.default_rng(2026)
+    noise = rng.normal(0.0, 0.1, (len(truth), 2))
+    columns = {"hot": PLATE_C + noise[:, 0], "bottom_1": truth[:, 0] + noise[:, 1]}
+    return Run(name, HEADER, np.arange(len(truth), dtype=float), columns), truth[:, 1]
+
+
 def followed(moisture):
     """Return the estimates of a board's 600 s and the true core. [°C]"""
-    truth, rng = board(moisture, 600), np.random.default_rng(2026)
-    noise = rng.normal(0.0, 0.1, (len(truth), 2))
-    sensor = ScanSensor(parse_press(PRESS), HEADER)
-    said = [
-        sensor.update(float(i), {"hot": PLATE_C + noise[i, 0], "bottom_1": back + noise[i, 1]})
-        for i, (back, _) in enumerate(truth)
-    ]
-    return said, truth[:, 1]
+    run, core = run_of(moisture)
+    sensor = ScanSensor(parse_press(PRESS), run.header)
+    return [
+        sensor.update(time_s, {name: values[i] for name, values in run.columns.items()})
+        for i, time_s in enumerate(run.time_s)
+    ], core
 
 
 def test_a_board_that_dries_below_boiling_is_not_told_sure_and_wrong():
@@ -97,14 +103,6 @@ def test_a_dry_board_is_told_and_held():
     held = [e.core_low_C <= c <= e.core_high_C for e, c in zip(said, core, strict=True) if e.valid]
     assert np.mean(held) == pytest.approx(1.0, abs=0.01)
     assert not [e for e in said if e.reason is InvalidReason.READINGS_CONTRADICT_MODEL]
-
-
-def run_of(moisture, conductivity=K, name="r"):
-    """Return a board's 600 s as a run, of a board that conducts otherwise than its header says, and its core."""
-    truth, rng = board(moisture, 600, conductivity=conductivity), np.random.default_rng(2027)
-    noise = rng.normal(0.0, 0.1, (len(truth), 2))
-    columns = {"hot": PLATE_C + noise[:, 0], "bottom_1": truth[:, 0] + noise[:, 1]}
-    return Run(name, HEADER, np.arange(len(truth), dtype=float), columns), truth[:, 1]
 
 
 def test_after_runs_that_no_model_describes_contacts_are_known_no_less_than_by_their_guess():
