@@ -32,3 +32,5 @@ EFFECT = Effect(
     needs=Need.SWITCH,
     made_up_by=("closed_s", "opened_s"),
 )
+SECONDS = EFFECT.key("seconds")
+"""By how much the panel's channels are late, as a model's parameter; its tangent is minus the readings' slope."""

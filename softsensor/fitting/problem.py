@@ -35,8 +35,6 @@ from softsensor.signals.unknown import Unknown
 HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared, once a search is near its end: three standard
 deviations. 0.69 up, 0.13 down."""
-SLOPE = clock_offset.EFFECT.key("seconds")
-"""The model's derivative by this parameter is minus the slope of what the channels read."""
 SWITCH_TIMING_S = 0.025
 """How well the press's motion is described by straight ramps: as a delay, while it closes or opens. 0.19 up, 0.06
 down. [s]"""
@@ -267,7 +265,7 @@ def with_motion(problem: FitProblem, x: Array, timing_s: float, reach_s: float =
     """
     t, moments = problem.signals.time_s, problem.case.moments
     values = problem.merged(x)
-    solution = with_clock(problem.model).solve(problem.case, values, (SLOPE,))
+    solution = with_clock(problem.model).solve(problem.case, values, (clock_offset.SECONDS,))
     closing = (moments.closed_s + values.get("closed_s", 0.0), moments.ramp_s + values.get("ramp_s", 0.0))
     opening = (moments.opened_s + values.get("opened_s", 0.0), OPENING_RAMP_S)
     inserting = (moments.inserted_s + values.get("inserted_s", 0.0), HANDLING_RAMP_S)
@@ -279,7 +277,7 @@ def with_motion(problem: FitProblem, x: Array, timing_s: float, reach_s: float =
     slope, blur = [], []
     for place in problem.signals.places:
         column = problem.case.columns.index(place.columns[0])
-        slope.append(-solution.d_sensors[SLOPE][:, column])
+        slope.append(-solution.d_sensors[clock_offset.SECONDS][:, column])
         own = np.abs(slope[-1]) * timing_s
         for rows, around, ramp in moves:
             steepest = float(np.ptp(solution.sensors[around, column])) / max(ramp, RAMPS_S[0])

@@ -42,9 +42,6 @@ from softsensor.signals.places import Place
 from softsensor.signals.screen import ChannelFault, faces_of, no_panel_channel, screened
 from softsensor.signals.spikes import Spikes, without_spikes
 
-CLOCK = clock_offset.EFFECT.key(clock_offset.EFFECT.parameters[0].name)
-"""Of channels that are late: the parameter that says by how much."""
-
 # Numbers without another source were set by hand, 2026-11.
 
 GROWTH = 1.15
@@ -154,9 +151,9 @@ class Digest:
     def solve(self, model: ThermalModel, values: Mapping[str, float], tangents: Sequence[str] = ()) -> Solution:
         """Run a model over the case, the panel laid in earlier by as much as channels, which show it, are late."""
         paper = any(e.layers for e in model.effects)
-        if late := values.get(CLOCK, 0.0):
+        if late := values.get(clock_offset.SECONDS, 0.0):
             values = {**values, "inserted_s": values.get("inserted_s", 0.0) - late}
-        if CLOCK in tangents:
+        if clock_offset.SECONDS in tangents:
             tangents = tuple(dict.fromkeys((*tangents, "inserted_s")))
         return model.solve(self.cases[paper], values, tangents)
 
@@ -172,7 +169,7 @@ class Digest:
     def observed_tangents(self, solution: Solution, names: Sequence[str]) -> Array:
         """Return the derivatives of the signals by parameters, 0 where they have no end (bins, signals, names)."""
         moved = [
-            solution.d_sensors[name] - (solution.d_sensors["inserted_s"] if name == CLOCK else 0.0)
+            solution.d_sensors[name] - (solution.d_sensors["inserted_s"] if name == clock_offset.SECONDS else 0.0)
             for name in names
         ]
         slopes = self.bins(np.stack([m[:, : len(self.signals)] for m in moved], axis=-1))
